@@ -79,7 +79,7 @@ rule all:
         collect("results/{scene}/background/scene.ply", scene=PLAN.scene),
         collect("results/{scene}/humans/{person}.{kind}", scene=PLAN.scene, person=files.people, kind=["ply", "npz"]),
         # Films: rendered (on request taken apart into EXR layers), enhanced, and beside what was filmed.
-        collect("results/{scene}/render/{shot}.mkv", scene=PLAN.scene, shot=files.drawn),
+        collect("results/{scene}/render/{shot}.mkv", scene=PLAN.scene, shot=files.renders),
         collect(
             "results/{scene}/render/{shot}.layers",
             scene=PLAN.scene,

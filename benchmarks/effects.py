@@ -43,7 +43,7 @@ ROOT = Path(__file__).resolve().parents[1]
 RESULT = Path(__file__).resolve().parent / "results" / "effects.json"
 PAGE = ROOT / "tests" / "effects" / "README.md"
 MIN, MAX = 0.95, 0.05
-_VOIDS = {effect.name for effect in EARLY if effect.voids}
+_VOIDS = {effect.name for effect in EARLY if effect.void_reason}
 # Effect → those that void it while they are on.
 HIDING = {effect.name: _VOIDS & set(effect.hidden_by) for effect in EARLY}
 # Effects that only people show.

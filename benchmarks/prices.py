@@ -23,7 +23,7 @@ import yaml
 from scipy.optimize import nnls
 from studiorecon.configuration.schema import coerce_types
 from studiorecon.home import HOME, SCHEMA
-from studiorecon.humans.result_cache import STANDS
+from studiorecon.humans.result_cache import UP_TO_DATE
 from studiorecon.plan.budget import UserChoices, overlay_settings, read_preset
 from studiorecon.plan.make import make_plan
 from studiorecon.plan.prices import PRICES, Point, Price, PriceList, predict, probe_s, processor_seconds
@@ -63,17 +63,19 @@ def run_of(folder: Path, scene: str, name: str, dataset: str, capture_yaml: str 
     # What it has decided is known now.
     made = read_decisions(folder / "results" / scene / "survey/decisions.json")
     verdicts = {effect: made[effect].verdict for effect in ("view_synthesis", *ON_DEMAND.values())}
-    known = replace(plan, forced={**{e: "on" if v == "on" else "off" for e, v in verdicts.items()}, **plan.forced})
+    known = replace(
+        plan, forced_effects={**{e: "on" if v == "on" else "off" for e, v in verdicts.items()}, **plan.forced_effects}
+    )
     log, wall_s = _log(folder, scene)
     footage = measure_footage(plan, config["capture"]["picture_fps"])
-    footage = replace(footage, made="(Rule: studio_capture)" in log)
-    work = workload(footage, config, segments_with_views(known, config), known.forced)
+    footage = replace(footage, synthetic="(Rule: studio_capture)" in log)
+    work = workload(footage, config, segments_with_views(known, config), known.forced_effects)
     for told in sorted((folder / "logs" / scene / "humans/train").glob("*.log")):
-        if STANDS in told.read_text(encoding="utf-8"):
+        if UP_TO_DATE in told.read_text(encoding="utf-8"):
             raise SystemExit(f"{told}: this person was trained before; take logs/{scene} away too before the run")
     jobs: dict[str, list[float]] = {}
     stages = dict(cost(folder / "timings" / scene)["stages"])
-    if footage.made:
+    if footage.synthetic:
         stages["studio"] = {
             "rules": {"capture": cost(folder / "timings/studio" / plan.studio)["stages"]["run"]["rules"]["capture"]}
         }

@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-// Where one looks from: freely around a point or a person, at a training camera, or along a film.
+// The view: free around a point or a person, from a training camera, or along a film.
 
 const minus = (a, b) => a.map((value, k) => value - b[k]);
 const plus = (a, b, times = 1) => a.map((value, k) => value + times * b[k]);
@@ -7,20 +7,20 @@ const cross = (a, b) => [a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a
 const transposed = (m) => [0, 1, 2].flatMap((k) => [m[k], m[k + 3], m[k + 6]]);
 const unit = (a) => a.map((value) => value / (Math.hypot(...a) || 1));
 
-// Row-major camera_from_world of a level camera, as geometry/path.py has it: x right, y down, z forward.
+// Row-major camera_from_world of a level camera: x right, y down, z forward.
 function looking(eye, target) {
   const forward = unit(minus(target, eye)), level = cross(forward, [0, 0, 1]);
   const right = Math.hypot(...level) < 1e-6 ? [1, 0, 0] : unit(level);
   return [...right, ...cross(forward, right), ...forward];
 }
 
-// The part of a canvas that a picture of size `own` fills, as large as it fits: left, top, and how many times larger.
+// The largest rectangle of aspect `own` in a canvas: left, top, and scale.
 function fitted(wh, own) {
   const times = Math.min(wh[0] / own[0], wh[1] / own[1]);
   return [(wh[0] - times * own[0]) / 2, (wh[1] - times * own[1]) / 2, times];
 }
 
-// A camera of size `own` on a canvas: its whole picture, and what lies around it.
+// A camera of size `own` on a canvas: its whole picture, and its surroundings.
 function onCanvas(wh, own, focal, principal, turn, eye) {
   const [left, top, times] = fitted(wh, own), offset = turned(turn, ...eye).map((value) => -value);
   const middle = [principal[0] * times + left, principal[1] * times + top];
@@ -50,7 +50,7 @@ function makeEye(scene) {
     reset: () => Object.assign(eye, home),
     pictures: (film) => scene.films[film].steps.length / 14,
     frameOf: (film, picture) => row(film, picture)[13],
-    // The view on a canvas; who follows a person looks where their pelvis is now.
+    // The view on a canvas; it targets the pelvis of a followed person.
     view(wh) {
       if (eye.mode === "camera") {
         const { intrinsics: k, wh: own } = scene.cameras[eye.camera], { turn, eye: place } = poses[eye.camera];
@@ -63,7 +63,7 @@ function makeEye(scene) {
       const focal = eye.zoom * usual * first[0], middle = first.map((side) => side / 2);
       return onCanvas(wh, first, [focal, focal], middle, looking(eye.eye, eye.target), eye.eye);
     },
-    // From a camera or a film to the same place, free to move.
+    // Frees the view from a camera or a film, at the same pose.
     letGo() {
       if (eye.mode === "free") return;
       const { rotation: turn, eye: place, focal } = eye.view(first), forward = turn.slice(6);
@@ -78,19 +78,19 @@ function makeEye(scene) {
       const flat = Math.cos(high);
       eye.eye = plus(eye.target, [flat * Math.cos(azimuth), flat * Math.sin(azimuth), Math.sin(high)], far);
     },
-    // Metres to the right, down and ahead; target and eye together.
+    // Moves target and eye together: metres to the right, down and ahead.
     fly(right, down, ahead) {
       eye.letGo();
       const step = turned(transposed(looking(eye.eye, eye.target)), right, down, ahead);
       Object.assign(eye, { eye: plus(eye.eye, step), target: plus(eye.target, step), person: null });
     },
-    // Nearer than 1, further beyond it.
+    // Scales the distance to the target; below 1 is nearer.
     nearer(times) {
       eye.letGo();
       const from = minus(eye.eye, eye.target);
       eye.eye = plus(eye.target, unit(from), within(Math.hypot(...from) * times, 0.3, 20 * reach));
     },
-    // Orbits a place; what lay between eye and target stays.
+    // Orbits a point; the distance between eye and target stays.
     follow(place) {
       eye.letGo();
       Object.assign(eye, { eye: plus(eye.eye, minus(place, eye.target)), target: [...place] });

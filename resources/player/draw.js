@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-// WebGL2: textures of a scene once, what moves at every moment, and the picture from a view.
+// WebGL2: the scene's textures, updated where it moves, and the picture from a view.
 
 // Texels in a row of the harmonics' texture.
 const WIDE = 4096;
@@ -23,7 +23,7 @@ function program(gl, vertex, fragment) {
   return { made, at };
 }
 
-// One array of four numbers a Gaussian for all sets, each where its own begin.
+// One array of four numbers per Gaussian for all sets, one set after the other.
 function together(scene, Kind, fill) {
   const all = new Kind((scene.size / ROW || 1) * ROW * 4);
   scene.sets.forEach((set, index) => {
@@ -38,7 +38,7 @@ function makePainter(canvas, scene) {
   const most = gl.getParameter(gl.MAX_TEXTURE_SIZE), bands = Math.max(...scene.sets.map((set) => set.bands));
   if (scene.size / ROW > most || (scene.size * bands) / WIDE > most)
     throw new Error(`this graphics card holds ${most} rows of Gaussians, too few for this scene`);
-  // Half floats keep many faint layers apart; without them eight bits must do.
+  // Half floats resolve many faint layers; without them, eight bits are used.
   const fine = !!(gl.getExtension("EXT_color_buffer_float") || gl.getExtension("EXT_color_buffer_half_float"));
   const splats = program(gl, SPLAT_VERTEX, SPLAT_FRAGMENT), show = program(gl, SHOW_VERTEX, SHOW_FRAGMENT);
   const units = {};
@@ -63,7 +63,7 @@ function makePainter(canvas, scene) {
     } };
   }
 
-  // So many of a set's numbers a Gaussian, and what comes behind them.
+  // The first numbers of each Gaussian of a set, followed by others.
   const own = (name, count, behind = () => []) => together(scene, Float32Array, (set, i, to, index) =>
     to.set([...set[name].subarray(count * i, count * i + count), ...behind(set, i, index)]));
   texture("means", "float", ROW, own("means", 3, (set, i) => [set.opacities[i]]));
@@ -83,9 +83,9 @@ function makePainter(canvas, scene) {
   const unchanged = (set, i, to) => to.set([set.motion ? 0 : 1, 0, 0, 0]);
   const changed = changing ? together(scene, Float32Array, unchanged) : new Float32Array(4);
   texture("changes", "float", changing ? ROW : 1, changed);
-  // Rows of 3 x 4 numbers: three texels a bone.
+  // Rows of 3 x 4 numbers: three texels per bone.
   texture("bones", "float", 3, scene.bones);
-  // Two texels a set, one below the other.
+  // Two texels per set, one below the other.
   const aboutSets = new Float32Array(scene.sets.length * 8);
   texture("sets", "float", scene.sets.length, aboutSets);
   const order = new Uint32Array(scene.size);
@@ -96,7 +96,7 @@ function makePainter(canvas, scene) {
   gl.bufferData(gl.ELEMENT_ARRAY_BUFFER, corners, gl.STATIC_DRAW);
   gl.disable(gl.DEPTH_TEST);
 
-  // Where pictures are blended before they are shown: colours, and shares of measured, inferred and invented.
+  // Buffers for blending: colours, and shares of measured, inferred and invented.
   const layers = ["picture", "shares"].map((name) => ({ name, unit: 10 + (name === "shares"), wh: [0, 0] }));
   function target(layer, [width, height]) {
     gl.activeTexture(gl.TEXTURE0 + layer.unit);
@@ -123,7 +123,7 @@ function makePainter(canvas, scene) {
   const card = gl.getParameter(named ? named.UNMASKED_RENDERER_WEBGL : gl.RENDERER);
   return {
     gl, fine, software: /swiftshader|llvmpipe|softpipe|software|basic render/i.test(card),
-    // Ids of Gaussians, the furthest first, and how much each set's grow because others are left out.
+    // Ids of Gaussians, the furthest first, and how much each set's Gaussians grow to replace omitted ones.
     setOrder({ ids, grow }) {
       count = ids.length;
       order.set(ids);
@@ -131,10 +131,10 @@ function makePainter(canvas, scene) {
       grow.forEach((times, index) => (aboutSets[(scene.sets.length + index) * 4] = times));
       units.sets.renew(2, aboutSets, 0);
     },
-    // How many Gaussians the next picture has, and whether the last is still being drawn.
+    // The number of Gaussians of the next picture, and whether the previous one is still being drawn.
     count: () => count,
     busy: () => !!fence && gl.getSyncParameter(fence, gl.SYNC_STATUS) !== gl.SIGNALED,
-    // Bones and colours at a frame; the scene's matrices have been moved there.
+    // Uploads bones and colours of a frame; the scene's matrices are those of that frame.
     setMoment(frame) {
       units.bones.renew(scene.bones.length / 12, scene.bones, 0);
       scene.sets.forEach((set, index) => {
@@ -146,7 +146,7 @@ function makePainter(canvas, scene) {
       units.sets.renew(2, aboutSets, 0);
     },
     // A view: {wh, focal, principal, rotation (row-major camera_from_world), offset, eye}; exposure: three factors.
-    // Of the order the part from `from` to `to`: the picture is shown once its last part is drawn.
+    // Draws the part of the order from `from` to `to`; the picture is shown once its last part is drawn.
     draw(view, { exposure = [1, 1, 1], tinted = false, hurried = false, scale = 1, from = 0, to = count } = {}) {
       const [width, height] = view.wh, small = view.wh.map((side) => Math.max(1, Math.round(side * scale)));
       const { at, made } = splats, by = [small[0] / width, small[1] / height], { drawing } = scene;
@@ -193,7 +193,7 @@ function makePainter(canvas, scene) {
       if (hurried) gl.generateMipmap(gl.TEXTURE_2D);
       gl.drawArrays(gl.TRIANGLES, 0, 3);
     },
-    // What the canvas shows, rows from the top: four bytes a pixel.
+    // The canvas's pixels, rows from the top: four bytes per pixel.
     read() {
       const { width, height } = canvas, row = width * 4, raw = new Uint8Array(row * height), upright = raw.slice();
       gl.readPixels(0, 0, width, height, gl.RGBA, gl.UNSIGNED_BYTE, raw);

@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-// Mouse, fingers and keys; and the start of it all.
+// Mouse, touch and keys, and the start of the player.
 
 const FLY_MPS = 2;
 const WAYS = { d: ["right", 1], a: ["right", -1], q: ["down", 1], e: ["down", -1], w: ["ahead", 1], s: ["ahead", -1] };
@@ -24,7 +24,7 @@ function listen(player) {
     changed();
   }
 
-  // The person nearest to a place of the picture: from now on looked at wherever they go.
+  // Follows the person nearest to the clicked pixel.
   function choose(event) {
     const view = eye.view([stage.clientWidth, stage.clientHeight]), here = stage.getBoundingClientRect();
     let best = 0.1 * stage.clientHeight, found = null;
@@ -48,7 +48,7 @@ function listen(player) {
     t: toggle("tinted"), k: toggle("skeletons"), r: player.reset, f: player.full,
   };
   function press(event) {
-    // What has the focus keeps its own keys.
+    // A focused control keeps its own keys.
     const own = event.target.matches("button, summary, input") && [" ", "ArrowLeft", "ArrowRight"].includes(event.key);
     if (own || event.ctrlKey || event.metaKey || event.altKey || event.target.matches("textarea, select")) return;
     const key = event.key.length === 1 ? event.key.toLowerCase() : event.key, camera = +key - 1;

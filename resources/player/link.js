@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-// What is seen, as text: in the page's address, and as an entry of render.shots.
+// The view as text: in the page's address, and as an entry of render.shots.
 
 function writeLink({ scene, eye, state }) {
   const three = (values) => values.map((value) => value.toFixed(3)).join(","), link = new URLSearchParams();
@@ -19,7 +19,7 @@ function writeLink({ scene, eye, state }) {
   if (location.hash.slice(1) !== `${link}`) history.replaceState(null, "", `#${link}`);
 }
 
-// What an address says; what it says of nobody and nothing that is here is left as it is.
+// Applies an address; entries for people or cameras that do not exist are ignored.
 function readLink({ scene, eye, state, last, changed }) {
   const link = new URLSearchParams(location.hash.slice(1)), number = (name) => (link.has(name) ? +link.get(name) : NaN);
   const index = (list, name) => list.findIndex((one) => one.name === link.get(name));
@@ -38,8 +38,8 @@ function readLink({ scene, eye, state, last, changed }) {
   changed();
 }
 
-// What is seen now as a key of a path. Between keys time runs at its own speed; where it stands still, the camera
-// takes a second.
+// The current view as a key of a path. Between keys time runs at its own speed; if it is the same, the camera takes a
+// second.
 function addKey({ scene, eye, state, keys }) {
   const before = keys.at(-1), { frame } = state, waits = Math.max(Math.round(scene.fps), 1);
   const picture = before ? before.picture + (Math.round(Math.abs(frame - before.frame)) || waits) : 0;
@@ -49,7 +49,7 @@ function addKey({ scene, eye, state, keys }) {
   keys.push({ picture, eye: [...eye.eye], target: eye.person || [...eye.target], frame, zoom: eye.zoom });
 }
 
-// Keys as an entry of render.shots: level cameras that look at a point or a person, or stand where a camera stood.
+// Keys as an entry of render.shots: level cameras that face a point or a person, or the pose of a camera.
 function shotText(keys, name = "mine") {
   const three = (values) => `[${values.map((value) => value.toFixed(3)).join(", ")}]`;
   const lines = keys.map(({ picture, camera, eye, target, frame, zoom }) => {

@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-// The player: which moment is seen from where, what must be sorted and drawn again, and what lies over the picture.
+// The player: the current moment and view, sorting and redrawing, and overlays on the picture.
 
 const SLOW = "No graphics card: while moving, only part of the scene is drawn.";
 const at = (id) => document.getElementById(id);
@@ -25,14 +25,14 @@ function makePlayer(scene, painter) {
   // sorting, at the same processor, leaves two to three.
   const goal_ms = painter.software ? 200 : 50;
   let most = painter.software ? 20000 : 4 * scene.size, slice = most;
-  // Of less than a sixteenth nobody recognises anything.
+  // Fewer than a sixteenth of the Gaussians show nothing recognisable.
   const paced = (was, could) => within((was + could) / 2, scene.size / 16, 4 * scene.size);
   const changed = () => changes++;
 
   const pixels = (side) => Math.max(Math.round(side * Math.min(devicePixelRatio || 1, 2)), 2);
   const size = () => [stage.clientWidth, stage.clientHeight].map(pixels);
 
-  // Everything to the moment that is seen; who follows somebody goes along.
+  // Moves everything to the current moment, and the view along with a followed person.
   function settle() {
     if (eye.mode === "film") state.frame = eye.frameOf(eye.film, eye.picture);
     if (moved === state.frame) return;
@@ -56,7 +56,7 @@ function makePlayer(scene, painter) {
     });
   }
 
-  // What a camera's picture was brighter by at this moment.
+  // Factors of a camera's exposure at this moment.
   function exposure() {
     const factors = state.bright && eye.mode === "camera" && scene.cameras[eye.camera].exposure;
     if (!factors) return [1, 1, 1];
@@ -64,7 +64,7 @@ function makePlayer(scene, painter) {
     return Array.from(factors.subarray(3 * row, 3 * row + 3));
   }
 
-  // The picture of this very moment, sorted and drawn: what screenshots and checks read.
+  // The picture of this exact moment, sorted and drawn, for screenshots and checks.
   async function picture(options = {}) {
     still = true;
     settle();
@@ -101,7 +101,7 @@ function makePlayer(scene, painter) {
     });
   }
 
-  // What the camera filmed, over what was made of it: its film, or the photo nearest in time.
+  // The camera's footage over the rendering: its film, or the photo nearest in time.
   function drawFilmed() {
     const { film, photos, wh } = scene.cameras[eye.camera], standing = eye.mode === "camera" && (film || photos);
     const [shown, other] = film ? [at("film"), at("photo")] : [at("photo"), at("film")];
@@ -154,7 +154,7 @@ function makePlayer(scene, painter) {
     painter.draw(seen.view, { exposure: exposure(), tinted: state.tinted, ...options });
   }
 
-  // The picture that was begun is there: how fast was that? What it covers may go.
+  // The picture is complete: adapts the number of Gaussians to its time, and hides the poster.
   function finish(now) {
     const could = (begun.count * goal_ms) / Math.max(now - begun.now, 1);
     if (begun.part) slice = paced(slice, could);

@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
-// What the page holds, as arrays: Gaussians of every set (the room, people, things), and where bones are at a time.
+// The page's data as arrays: Gaussians of every set (the room, people, things), and poses of bones at a time.
 
-// Texels in a row of every texture that has one per Gaussian; a set begins a row of its own.
+// Texels in a row of every texture with one texel per Gaussian; every set begins a new row.
 const ROW = 1024;
 const within = (value, low, high) => Math.min(Math.max(value, low), high);
 
@@ -28,7 +28,7 @@ function numbers(bytes, { at, count, columns, bits, low, high }) {
   return found;
 }
 
-// Unit quaternions (w, x, y, z): two bits say which number is the largest, ten each what the others are.
+// Unit quaternions (w, x, y, z): two bits for the index of the largest number, ten for each of the others.
 function quaternions(packed) {
   const found = new Float32Array(packed.length * 4);
   for (let i = 0; i < packed.length; i++) {
@@ -44,7 +44,7 @@ function quaternions(packed) {
   return found;
 }
 
-// A description with all that is packed in it as what it stands for; deliver/packing.py wrote it.
+// A description with its packed arrays unpacked; deliver/packing.py writes it.
 function unpacked(bytes, described) {
   if (!described || typeof described !== "object") return described;
   const { packed, at, count, columns } = described;
@@ -55,7 +55,7 @@ function unpacked(bytes, described) {
   return described;
 }
 
-// Everything of a page's description; sets get a first Gaussian and a first bone in what all share.
+// The scene of a page's description; sets get the index of their first Gaussian and bone in the shared arrays.
 function readScene(described, bytes) {
   const data = unpacked(bytes, described);
   let first = 0, bone = 0;
@@ -65,7 +65,7 @@ function readScene(described, bytes) {
     set.bands = (set.degree + 1) ** 2 - 1;
     set.scales = set.scales.map(Math.exp);
     set.shown = true;
-    // How much of a picture a Gaussian covers a metre away: its two longest axes and its opacity.
+    // Area of the picture that a Gaussian covers at one metre: its two longest axes and its opacity.
     set.weights = set.opacities.map((opacity, i) => {
       const [, b, c] = set.scales.slice(3 * i, 3 * i + 3).sort();
       return opacity * b * c;
@@ -79,7 +79,7 @@ function readScene(described, bytes) {
   return { ...data, size: first, bones: new Float32Array(Math.max(bone, 1) * 12) };
 }
 
-// The moments before and after a place in a list of them, and how far between.
+// The moments before and after a time in an ascending list, and the share of the way between them.
 function between(place, count) {
   const at = within(place, 0, count - 1), low = Math.min(Math.floor(at), Math.max(count - 2, 0));
   return [low, Math.min(low + 1, count - 1), at - low];
@@ -111,13 +111,13 @@ function turned(r, x, y, z) {
   return [r[0] * x + r[1] * y + r[2] * z, r[3] * x + r[4] * y + r[5] * z, r[6] * x + r[7] * y + r[8] * z];
 }
 
-// Where a set's bones are at a frame: rows of world_from_rest (3 x 4 a bone) into `out`, joints into the set.
-// Turns lie between those of two moments on the sphere of rotations, as body/avatar has it.
+// Poses of a set's bones at a frame: writes world_from_rest (3 x 4 per bone) into `out`, joints into the set.
+// Rotations are interpolated spherically, as in body/avatar.
 function move(scene, set, frame, out) {
   const { parents, rest, turns, places, present } = set.motion;
   let [low, high, share] = between((frame * (scene.moments - 1)) / Math.max(scene.frames - 1, 1), scene.moments);
   if (present) {
-    // Beside a moment in which it is away, a thing or person stays where it was at the nearer one.
+    // Next to a moment in which it is away, a thing or person keeps the pose of the nearer moment.
     const near = share > 0.5 ? high : low;
     set.there = present[near] > 0;
     if (present[low] !== present[high]) [low, high, share] = present[low] ? [low, low, 0] : [high, high, 0];
@@ -142,13 +142,13 @@ function move(scene, set, frame, out) {
   }
 }
 
-// Whether anything of a set was measured at a frame; a pose that was filled in makes all of it inferred.
+// Whether a set was measured at a frame; an interpolated pose makes all of it inferred.
 function measuredAt(set, frame) {
   return !set.motion || set.motion.valid[within(Math.round(frame), 0, set.motion.valid.length - 1)] > 0;
 }
 
-// What a set's colours become at a frame: four numbers a Gaussian. A person's are added (colour, logit), the room's
-// first one multiplies. Null for a set that never changes.
+// Change of a set's colours at a frame: four numbers per Gaussian. A person's are added (colour, logit); the room's
+// first one is a factor. Null for a set that never changes.
 function changesAt(scene, set, frame, out) {
   if (set.shade) {
     const { at, times: moments, factors } = set.shade, count = at.length;

@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
 // The order in which Gaussians are drawn, the furthest first, after bones have moved them. Runs in a worker of its own.
 
-// Needs nothing from outside: its text is what the worker is made of.
+// It uses nothing else: the worker is created from its source text.
 function makeSorter() {
   let sets = [], size = 0, depths, ids, order, counts;
 
@@ -15,13 +15,13 @@ function makeSorter() {
     counts = new Uint32Array(65536);
   }
 
-  // Of the Gaussians from..end of a set the share that covers most of the picture, written on from `to`: where they
-  // end, and how much larger they must be to cover what all did.
+  // Writes those of the Gaussians from..end of a set that cover most of the picture from `to` on: returns their end,
+  // and the factor on their size that makes them cover as much as all.
   function strongest(set, from, end, share, to) {
     const weights = new Float32Array(end - from), bits = new Uint32Array(weights.buffer);
     let all = 0, kept = 0, bin = 4096, part = 0;
     for (let i = from; i < end; i++) all += weights[i - from] = set.weights[ids[i] - set.first] / depths[i] ** 2;
-    // Positive floats stand in the order of their bits; of the last bin that is begun, evenly as many as are due.
+    // Positive floats have the order of their bits; of the last bin, an evenly spread part is taken.
     const bins = new Uint32Array(4096);
     for (const own of bits) bins[own >>> 20]++;
     for (let left = share * (end - from); left > 0 && bin; left -= bins[bin]) part = Math.min(left / bins[--bin], 1);
@@ -36,8 +36,8 @@ function makeSorter() {
     return [to, kept > 0 ? Math.sqrt(all / kept) : 1];
   }
 
-  // Ids of what lies further than `near` along the row (x, y, z, offset) of a camera, the furthest first: all of it,
-  // or `most` of what is inside the `sides` of the picture (such rows, too).
+  // Ids of Gaussians further than `near` along the row (x, y, z, offset) of a camera, the furthest first: all, or
+  // `most` of those inside the `sides` of the picture (rows of the same form).
   function sorted({ row, sides, matrices, shown, near, most }) {
     const grow = sets.map(() => 1), ends = [0];
     let count = 0;
@@ -46,7 +46,7 @@ function makeSorter() {
       if (!shown[index]) return;
       const { means, bones, shares, first } = set, own = new Float32Array(1024);
       const [x, y, z, offset] = row;
-      // A bone's row and the camera's as one: depth is linear in where a Gaussian rests.
+      // The product of a bone's row and the camera's: depth is linear in a Gaussian's rest position.
       for (let b = 0; bones && b < matrices.length / 12 - set.firstBone; b++) {
         const m = (set.firstBone + b) * 12;
         for (let k = 0; k < 4; k++)
@@ -64,7 +64,7 @@ function makeSorter() {
           }
         }
         if (!(depth > near)) continue;
-        // Whoever moves counts as inside.
+        // Moving sets count as inside.
         if (!bones && sides && sides.some((s) => s[0] * px + s[1] * py + s[2] * pz + s[3] < 0)) continue;
         depths[count] = depth;
         ids[count++] = first + i;
@@ -76,7 +76,7 @@ function makeSorter() {
       count = 0;
       sets.forEach((set, k) => ([count, grow[k]] = strongest(set, ends[k], ends[k + 1], share, count)));
     }
-    // Positive floats stand in the order of their bits: two rounds of 16 of them.
+    // Positive floats have the order of their bits: two rounds of 16 bits.
     const keys = new Uint32Array(depths.buffer, 0, size);
     let from = null;
     for (let shift = 0, round = 0; round < 2; shift += 16, round++) {
@@ -97,7 +97,7 @@ function makeSorter() {
   return { load, sorted };
 }
 
-// A worker that sorts; where none can be made, the page sorts itself. Call it with a view: a promise of the order.
+// A worker that sorts, or the page itself without workers. Called with a view, it returns a promise of the order.
 function startSorter(sets) {
   const names = ["first", "count", "means", "bones", "shares", "firstBone", "weights"];
   const given = sets.map((set) => Object.fromEntries(names.map((name) => [name, set[name]])));

@@ -118,7 +118,7 @@ def test_the_recursive_module_lets_views_enter_those_after_them(
             return np.clip(image + np.float32([0.1, 0, 0]), 0, 1)
 
     monkeypatch.setattr(refined, "load", lambda *_, **__: Kept())
-    paper = {"strength": 0.3, "moving_strength": 0.3, "error_threshold": 255.0, "check": False, "settle": False}
+    paper = {"strength": 0.3, "moving_strength": 0.3, "error_threshold": 255.0, "check": False, "whole_levels": False}
     looks = halved["files"]["renders"], halved["files"]["renders_path"]
     about = capture["model"], capture["plates"], [], tmp_path, "cpu", tmp_path / "recursive.mkv"
     # Along a path on which neighbours show the same: the views of one place.

@@ -80,7 +80,7 @@ def test_skinning_agrees_with_a_plain_loop(body: BodyModel, pose: np.ndarray) ->
         np.testing.assert_allclose(body.joints(pose, betas, trans)[t], posed, atol=1e-12)
 
 
-def test_keypoint_basis_equals_the_mesh(body: BodyModel, pose: np.ndarray) -> None:
+def test_keypoint_anchors_equals_the_mesh(body: BodyModel, pose: np.ndarray) -> None:
     betas, trans = np.linspace(-1, 1, 10), np.zeros((3, 3))
     surface = body.vertices(pose, betas, trans).astype(np.float64)
     names = [n for n in body.keypoint_names if not n.endswith("_joint")]

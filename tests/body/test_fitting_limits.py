@@ -10,9 +10,9 @@ import numpy as np
 import pytest
 from studiorecon.body.fitting import elimination, paper_solver, prior
 from studiorecon.body.fitting import fit as fitting
-from studiorecon.body.fitting.basis import State
 from studiorecon.body.fitting.fit import FitSettings, SurfacePoints
-from studiorecon.body.fitting.problem import Normal, Problem, Pulls
+from studiorecon.body.fitting.point_model import FitState
+from studiorecon.body.fitting.problem import NormalEquations, PriorWeights, Problem
 from studiorecon.body.model import BodyModel, upright_global_orientation
 from studiorecon.body.skinning import forward_kinematics
 from studiorecon.geometry import rotations
@@ -76,7 +76,7 @@ def joint_error_mm(
 def problem_of(
     body: BodyModel, targets: np.ndarray, sigma: np.ndarray, settings: FitSettings, surface: SurfacePoints | None = None
 ) -> Problem:
-    pulls = Pulls(
+    priors = PriorWeights(
         settings.huber_units,
         settings.pose_weight,
         settings.limit_weight,
@@ -84,7 +84,7 @@ def problem_of(
         settings.correction_sigma_m,
         settings.free_scale,
     )
-    return Problem(body, fitting.merge_points(body, NAMES, targets, sigma, settings, surface), pulls)
+    return Problem(body, fitting.merge_points(body, NAMES, targets, sigma, settings, surface), priors)
 
 
 def skin(body: BodyModel, poses: np.ndarray, betas: np.ndarray, trans: np.ndarray, count: int = 200) -> SurfacePoints:
@@ -101,21 +101,21 @@ def part_error_deg(body: BodyModel, fit: fitting.Fit, poses: np.ndarray) -> np.n
     return np.rad2deg(rotations.angle(*world))
 
 
-def normal_of(problem: Problem, state: State) -> Normal:
+def normal_of(problem: Problem, state: FitState) -> NormalEquations:
     """Normal equations with what the shared unknowns have by themselves."""
-    return problem.normal(state, np.diag(problem.shared_precision), problem.shared_precision * state.shared)
+    return problem.normal_equations(state, np.diag(problem.shared_precision), problem.shared_precision * state.shared)
 
 
-def whole_cost(problem: Problem, state: State) -> float:
+def whole_cost(problem: Problem, state: FitState) -> float:
     return problem.costs(state).sum() + problem.shared_cost(state)
 
 
 def slopes(
-    problem: Problem, state: State, local: list[tuple[int, ...]], shift: list[tuple[int, ...]], shared: list[int]
+    problem: Problem, state: FitState, local: list[tuple[int, ...]], shift: list[tuple[int, ...]], shared: list[int]
 ) -> list[float]:
     """Central differences of the cost by turns about world axes (frame, joint, axis), shifts (frame, axis) and shared
     unknowns."""
-    world = problem.basis.posed(state).world
+    world = problem.model.pose(state).world
     out = []
     for kind, index in [(0, i) for i in local] + [(1, i) for i in shift] + [(2, (i,)) for i in shared]:
         costs = []
@@ -123,7 +123,7 @@ def slopes(
             moved = [np.zeros_like(state.local[..., 0]), np.zeros_like(state.trans), np.zeros_like(state.shared)]
             moved[kind][index] = step
             moved[0] = np.einsum("fjyx,fjy->fjx", world, moved[0])
-            costs.append(whole_cost(problem, state.moved(*moved)))
+            costs.append(whole_cost(problem, state.add_step(*moved)))
         out.append((costs[0] - costs[1]) / 2e-6)
     return out
 
@@ -140,9 +140,9 @@ def test_gradient_agrees_with_finite_differences(body: BodyModel, with_skin: boo
     # Far enough from the truth that some joints are beyond their limits and some points beyond the Huber bound.
     local = rotations.exp(poses.reshape(2, 24, 3)) @ rotations.exp(rng.normal(0, 0.6, (2, 24, 3)))
     assert (prior.beyond_limits(prior.bend_from_mean(local)) != 0).sum() > 5
-    state = State(local, trans + 0.01, rng.normal(0, 0.5, 10), 0.05, rng.normal(0, 0.01, (25, 3)))
+    state = FitState(local, trans + 0.01, rng.normal(0, 0.5, 10), 0.05, rng.normal(0, 0.01, (25, 3)))
     normal = normal_of(problem, state)
-    side, scale = normal.rows[:, -1], np.abs(normal.rows[:, -1]).max()
+    side, scale = normal.coupling[:, -1], np.abs(normal.coupling[:, -1]).max()
     turns = [(1, joint, axis) for joint in range(24) for axis in range(3)]
     assert slopes(problem, state, turns, [], []) == pytest.approx(
         [side[1, 24 * a + j] for _, j, a in turns], abs=1e-6 * scale
@@ -155,9 +155,11 @@ def test_gradient_agrees_with_finite_differences(body: BodyModel, with_skin: boo
         normal.shared_side[shared], abs=1e-6 * np.abs(normal.shared_side).max()
     )
     # What frames have for themselves is the same when it is asked for alone, in some frames.
-    alone = problem.select_frames(np.array([False, True])).own(state.at(np.array([False, True])))
-    np.testing.assert_allclose(alone.own[0], normal.own[1], rtol=1e-9, atol=1e-9 * np.abs(normal.own).max())
-    np.testing.assert_allclose(alone.rows[0, 0], side[1], rtol=1e-9, atol=1e-9 * scale)
+    alone = problem.select_frames(np.array([False, True])).frame_equations(state.select_frames(np.array([False, True])))
+    np.testing.assert_allclose(
+        alone.frame_blocks[0], normal.frame_blocks[1], rtol=1e-9, atol=1e-9 * np.abs(normal.frame_blocks).max()
+    )
+    np.testing.assert_allclose(alone.coupling[0, 0], side[1], rtol=1e-9, atol=1e-9 * scale)
 
 
 def test_a_long_film_is_fitted_some_frames_after_others(body: BodyModel, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -168,9 +170,9 @@ def test_a_long_film_is_fitted_some_frames_after_others(body: BodyModel, monkeyp
     points[7, 4:] = np.nan  # few points: other bodies may explain them
     whole = solve(body, points, SETTINGS, 0.01)
     held: list[int] = []
-    formed = Problem.normal
+    formed = Problem.normal_equations
 
-    def watched(problem: Problem, state: State, *shared: np.ndarray) -> Normal:
+    def watched(problem: Problem, state: FitState, *shared: np.ndarray) -> NormalEquations:
         held.append(len(state.trans))
         return formed(problem, state, *shared)
 
@@ -195,13 +197,16 @@ def test_a_point_that_is_met_exactly_pulls_nowhere(body: BodyModel, matched: str
         points[0, 1:] += 0.02
     # All points but the first beyond the Huber bound: its weight must not come from 3/0.
     problem = problem_of(body, points, np.zeros((1, 25)), replace(SETTINGS, pose_weight=1e-12, limit_weight=0))
-    state = State(rotations.exp(poses.reshape(1, 24, 3)), trans, np.zeros(10), 0.0, np.zeros((25, 3)))
+    state = FitState(rotations.exp(poses.reshape(1, 24, 3)), trans, np.zeros(10), 0.0, np.zeros((25, 3)))
     normal = normal_of(problem, state)
-    assert all(np.isfinite(part).all() for part in (normal.own, normal.rows, normal.shared, normal.shared_side))
+    assert all(
+        np.isfinite(part).all()
+        for part in (normal.frame_blocks, normal.coupling, normal.shared_block, normal.shared_side)
+    )
     first = normal.shared_side[11:14]
     np.testing.assert_allclose(first, 0, atol=1e-6)
     if matched == "all":
-        np.testing.assert_allclose(normal.rows[0, -1], 0, atol=1e-6)
+        np.testing.assert_allclose(normal.coupling[0, -1], 0, atol=1e-6)
         assert whole_cost(problem, state) == pytest.approx(0, abs=1e-9)
 
 
@@ -211,14 +216,14 @@ def test_missing_points_have_no_gradient(body: BodyModel, missing: float) -> Non
     poses, trans = moderate(2)
     rng = np.random.default_rng(1)
     points = body.keypoints(NAMES, poses, np.zeros(10), trans) + rng.normal(0, 0.02, (2, 25, 3))
-    state = State(rotations.exp(poses.reshape(2, 24, 3)), trans, np.zeros(10), 0.0, np.zeros((25, 3)))
+    state = FitState(rotations.exp(poses.reshape(2, 24, 3)), trans, np.zeros(10), 0.0, np.zeros((25, 3)))
     gone = points.copy()
     gone[:, 9], gone[1, 3, 2] = missing, missing
     marked = np.where(np.isfinite(gone).all(-1), 0.0, np.inf)
     found, given = (normal_of(problem_of(body, p, marked, SETTINGS), state) for p in (gone, points))
     for a, b in zip(
-        (found.own, found.rows, found.shared, found.shared_side),
-        (given.own, given.rows, given.shared, given.shared_side),
+        (found.frame_blocks, found.coupling, found.shared_block, found.shared_side),
+        (given.frame_blocks, given.coupling, given.shared_block, given.shared_side),
     ):
         assert np.isfinite(a).all()
         np.testing.assert_array_equal(a, b)
@@ -392,9 +397,9 @@ def test_detectors_own_hips_are_learnt(body: BodyModel, offset_m: float) -> None
 def mean_residual_m(body: BodyModel, fit: fitting.Fit, points: np.ndarray) -> np.ndarray:
     """(K, 3) mean over frames of the body's corrected keypoints minus the given ones, in the axes of each one's
     joint."""
-    basis = fitting.merge_points(body, NAMES, points, np.zeros(points.shape[:2]), SETTINGS, None).basis
-    posed = basis.posed(State(fit.rotations, fit.trans_m, fit.betas, 0.0, fit.corrections_m))
-    return np.einsum("fkyx,fky->kx", posed.world[:, basis.carrier], posed.points - points) / len(points)
+    model = fitting.merge_points(body, NAMES, points, np.zeros(points.shape[:2]), SETTINGS, None).model
+    posed = model.pose(FitState(fit.rotations, fit.trans_m, fit.betas, 0.0, fit.corrections_m))
+    return np.einsum("fkyx,fky->kx", posed.world[:, model.carrier], posed.points - points) / len(points)
 
 
 @pytest.mark.parametrize("shape", ["shared", "per_frame"], ids="S06-{}".format)

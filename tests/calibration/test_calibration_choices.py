@@ -16,7 +16,7 @@ from studiorecon.geometry.crop_hypotheses import crop_hypotheses, rotate_lens_90
 from studiorecon.geometry.distortion import distort
 from studiorecon.geometry.lens import (
     normalised_from_calibration,
-    unseen_share,
+    rayless_share,
     video_from_working,
     working_view,
 )
@@ -90,7 +90,7 @@ def test_padding_is_placed_by_people(centred):
     assert all(np.allclose(lens.calibration_from_video, [[1, 0, 0], [0, 1, 4 if centred else 0]]) for lens in lenses)
     assert sum("1920×1080" in note for note in notes) == 4
     assert lenses[0].placed != ""
-    assert unseen_share(lenses[0], (1920, 1080)) == 0
+    assert rayless_share(lenses[0], (1920, 1080)) == 0
 
 
 def test_without_people_padding_lies_below_and_that_is_said():
@@ -155,7 +155,7 @@ FOLDING = np.array([-0.37, 0.20, 0.0, 0.0, -0.07, 0, 0, 0])
 def test_a_lens_that_turns_over_in_the_corners_shows_what_can_be_undone(focal):
     k = np.array([[focal, 0, 640], [0, focal, 480], [0, 0, 1]])
     lens = Lens("a", (1280, 960), k, "opencv", FOLDING, np.eye(4), np.eye(2, 3))
-    assert 0 < unseen_share(lens, lens.wh) < 0.2
+    assert 0 < rayless_share(lens, lens.wh) < 0.2
     view = working_view(lens, lens.wh, (640, 480))
     assert view.map_x.min() >= -1
     assert view.map_x.max() <= 1280
@@ -187,7 +187,7 @@ def test_beyond_the_fold_there_is_no_film():
 def test_a_lens_that_turns_over_in_most_of_the_picture_is_refused():
     k = np.array([[400.0, 0, 640], [0, 400, 480], [0, 0, 1]])
     with pytest.raises(UserError, match="another lens or another model"):
-        unseen_share(Lens("a", (1280, 960), k, "opencv", FOLDING, np.eye(4), np.eye(2, 3)), (1280, 960))
+        rayless_share(Lens("a", (1280, 960), k, "opencv", FOLDING, np.eye(4), np.eye(2, 3)), (1280, 960))
 
 
 def test_a_film_outside_of_the_calibrated_picture_is_refused_before_the_doctor():
@@ -201,7 +201,7 @@ def test_a_film_outside_of_the_calibrated_picture_is_refused_before_the_doctor()
         np.array([[1.0, 0, -9000], [0, 1, 0]]),
     )
     with pytest.raises(UserError, match=r"camera a: .*pixel_maps"):
-        unseen_share(lens, (640, 480))
+        rayless_share(lens, (640, 480))
 
 
 @pytest.mark.parametrize("far", [("d",), ("c", "d")])

@@ -72,7 +72,7 @@ def test_a_camera_that_was_knocked_is_put_right(degrees: float, metres: float, s
 def test_a_camera_that_stayed_is_used_as_it_was_given() -> None:
     found = estimate_held_out_pose(TRUE, sighted(TRUE), LIMITS, BUNDLE, GAIN)
     np.testing.assert_array_equal(found.camera.camera_from_world, TRUE.camera_from_world)
-    assert found.checked
+    assert found.is_verified
     assert found.turned_deg == found.moved_m == 0
 
 
@@ -91,7 +91,7 @@ def test_too_little_leaves_the_camera_unchecked_and_says_so() -> None:
     seen = sighted(TRUE)
     given = knocked(TRUE, 3.0, 0.3, 0)
     found = estimate_held_out_pose(given, seen.of(np.arange(len(seen.frame)) < 40), LIMITS, BUNDLE, GAIN)
-    assert not found.checked
+    assert not found.is_verified
     assert found.camera is given
     assert "unchecked" in pose_sentence("c4", found, 5)
     assert "no person is expected" in pose_sentence("c4", found, 0)
@@ -135,7 +135,7 @@ def test_a_real_held_out_camera_is_put_right_by_a_real_man(
         keypoints.run(section, name, recorded, out[1], lenses, tmp_path / f"{name}.npz")
     manifest.run("take", [tmp_path / f"{name}.json" for name in names], manifests)
     whole = [read_detections(tmp_path / f"{name}.npz") for name in names]
-    given = refine.undistorted_cameras(list(read_lenses(lenses).values()), read_manifest(manifests).training)
+    given = refine.pinhole_cameras(list(read_lenses(lenses).values()), read_manifest(manifests).training)
     settings = loaded(held_out.Settings)
     cameras = refine.decide(given, [], whole, 100, 30.0, True, settings).training
     write_model(tmp_path / "training", cameras[:3])

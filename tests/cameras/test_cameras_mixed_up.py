@@ -116,7 +116,7 @@ MIXED_UP: dict[str, tuple[Callable[[Rig], Rig], str]] = {
         "lay -5000 px further right",
     ),
     "keypoints of a cropped picture": (lambda rig: with_pixels(rig, lambda p: p - [320, 90]), "320 px further right"),
-    "keypoints of another camera": (of_another, "they belonged to c2, whose keypoints they are"),
+    "keypoints of another camera": (of_another, "they were those of c2"),
     "twenty frames late": (lambda rig: later(rig, 20), r"its frames were numbered about (18|19|20|21|22) lower"),
 }
 

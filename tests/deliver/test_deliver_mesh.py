@@ -12,7 +12,7 @@ import trimesh
 from studiorecon.camera_files.colmap import write_model
 from studiorecon.deliver import mesh
 from studiorecon.deliver.fusion import FusedSurface, FusedView, decimate, fuse, open3d, remove_vertices
-from studiorecon.deliver.room_planes import build_planes, distance_m, kept_faces
+from studiorecon.deliver.room_planes import build_planes, distance_m, mesh_faces
 from studiorecon.errors import UserError
 from studiorecon.scene.camera import Camera
 from studiorecon.scene.gaussians import Gaussians
@@ -160,5 +160,5 @@ def test_without_open3d_it_says_which_extra_brings_it(monkeypatch: pytest.Monkey
 
 
 def test_default_walls_are_no_planes_of_the_mesh() -> None:
-    assert kept_faces(ROOM) == [0, 1, 2, 4]
+    assert mesh_faces(ROOM) == [0, 1, 2, 4]
     assert distance_m(ROOM, np.array([[0.0, 0.0, 2.5], [0.0, 0.0, -0.3]])) == pytest.approx([1.5, 0.0])

@@ -17,7 +17,7 @@ from studiorecon.depth import room as room_box
 from studiorecon.depth.layout.box import most_voted_offsets
 from studiorecon.depth.layout.primitives import read_primitives
 from studiorecon.depth.layout.votes import Votes, read_sweeps
-from studiorecon.depth.layout.yaw import matched_yaw
+from studiorecon.depth.layout.yaw import match_yaw
 from studiorecon.depth.stereo.matching import plane_depth
 from studiorecon.depth.stereo.planes import wall_yaw
 from studiorecon.depth.stereo.plates import Picture
@@ -171,7 +171,7 @@ def test_yaw_of_the_walls_is_found_with_and_without_lines() -> None:
         yaw_rad, support = wall_yaw(cameras, [p.rgb for p in pictures], [p.known for p in pictures])
         assert (support > 0.12) == lines
         if not lines:
-            yaw_rad = matched_yaw(pictures, 0.0, 6.0, 0.3, 14.0)
+            yaw_rad = match_yaw(pictures, 0.0, 6.0, 0.3, 14.0)
         assert abs((np.degrees(yaw_rad - 0.35) + 45) % 90 - 45) < tolerance_deg
 
 

@@ -65,14 +65,14 @@ def test_e02_eight_bit_feedback_forgets_what_has_moved_on() -> None:
     steady = replace(PAPER, strength=0.9, error_threshold=300.0, history=1)
     wall = np.full(SHAPE, 100 / 255, np.float32)
     left = {}
-    for settle in (False, True):
+    for whole in (False, True):
         output = None
         for render in [wall + np.float32(40 / 255)] * 10 + [wall] * 60:
             past = [] if output is None else [output]
             trust = [np.ones(SHAPE[:2], np.float32)] * len(past)
-            blended, _ = inject(render, past, trust, replace(steady, settle=settle))
+            blended, _ = inject(render, past, trust, replace(steady, whole_levels=whole))
             output = np.rint(255 * blended).astype(np.float32) / 255
-        left[settle] = float(np.abs(255 * (output - wall)).max())
+        left[whole] = float(np.abs(255 * (output - wall)).max())
     assert left[True] < 1e-3
     assert 3 < left[False] < 6
 
@@ -223,7 +223,7 @@ def test_pictures_that_the_flow_network_cannot_compare_are_refused(wrong: str) -
 
 @pytest.mark.parametrize(("gain", "strength"), [(1.2, 0.9), (0.9, 1.2), (float("nan"), 0.3)], ids=lambda v: f"E14-{v}")
 def test_an_enhancer_whose_feedback_diverges_is_refused(gain: float, strength: float) -> None:
-    with pytest.raises(UserError, match="answers a brighter render"):
+    with pytest.raises(UserError, match="multiplies a change of brightness"):
         check_gain(gain, strength)
 
 

@@ -13,7 +13,7 @@ from studiorecon.estimate.factors.bones import bone_factors
 from studiorecon.estimate.factors.edges import room_edges
 from studiorecon.estimate.factors.feet import feet_on_floor
 from studiorecon.estimate.factors.keypoints import Keypoints, keypoint_factor
-from studiorecon.estimate.factors.lenses import alike_lenses, known_lenses
+from studiorecon.estimate.factors.lenses import known_lenses, similar_lenses
 from studiorecon.estimate.intervals import camera_intervals
 from studiorecon.estimate.solver import Solution, solve
 from studiorecon.estimate.unknowns import LOG_FOCAL, PER_CAMERA, RADIAL, Unknowns
@@ -62,7 +62,7 @@ FACTORS: dict[str, Callable[[Unknowns], Factor]] = {
     "usual lengths": lambda u: bone_factors(u, np.arange(2), np.arange(2), np.arange(2), np.ones(2), np.ones(2))[1],
     "feet": lambda u: feet_on_floor(u, np.arange(9), np.eye(3), np.ones(9)),
     "known lenses": lambda u: known_lenses(u, np.ones((4, 4)), np.ones((4, 4))),
-    "alike lenses": lambda u: alike_lenses(u, ["a", "b", "a", "a"])[1],
+    "alike lenses": lambda u: similar_lenses(u, ["a", "b", "a", "a"])[1],
     "edges": along_edges,
 }
 
@@ -140,7 +140,7 @@ def test_cameras_of_one_make_share_a_focal_length_unless_the_evidence_is_clear()
         expected = np.zeros((4, 4))
         expected[:, 0] = np.array([0.0, 0.0, last, 0.0]) + np.log(1000)
         sigma = np.full((4, 4), 0.02)
-        factors = [known_lenses(unknowns, expected, sigma), *alike_lenses(unknowns, ["a", "a", "a", "b"])]
+        factors = [known_lenses(unknowns, expected, sigma), *similar_lenses(unknowns, ["a", "a", "a", "b"])]
         free = np.zeros(len(unknowns.values), bool)
         free[[v * PER_CAMERA + LOG_FOCAL for v in range(4)]] = True
         apart = np.zeros(len(unknowns.values))

@@ -17,13 +17,13 @@ from studiorecon.body.avatar.weight_grid import build_weight_grid
 from studiorecon.body.model import BodyModel
 from studiorecon.configuration import settings as settings_module
 from studiorecon.humans import train
-from studiorecon.humans.refined_motion import HELD, RefinedMotion
+from studiorecon.humans.refined_motion import FIXED_JOINTS, RefinedMotion
 from studiorecon.scene.provenance import INFERRED
 
 from tests.made.humans import Made, body, made  # noqa: F401
 from tests.made.steps import call
 
-LETTER = {"behind": "black", "unseen": "trained", "pose_joints": "all", "edge_px": 0, "scales_held": False}
+LETTER = {"background": "black", "unseen_colours": "trained", "pose_joints": "all", "edge_px": 0, "limit_scales": False}
 
 
 @pytest.fixture
@@ -43,7 +43,7 @@ def trained(made: Made, body: BodyModel, default_settings: Callable, tmp_path: P
 
 
 def test_all_bones_of_the_grid_carry_a_gaussian_from_where_it_went(trained: Callable, body: BodyModel) -> None:
-    settings, person = trained(skinning="grid", placed="vertices")
+    settings, person = trained(skinning="grid", placement="vertices")
     rest = body.rest_vertices(person.betas)
     grid = build_weight_grid(rest, body.weights, settings.grid_resolution, settings.grid_margin)
     assert person.bones.shape == person.weights.shape == (person.gaussians.count, 24)
@@ -55,11 +55,11 @@ def test_all_bones_of_the_grid_carry_a_gaussian_from_where_it_went(trained: Call
 
 def test_feet_head_and_hands_move_with_the_letter_alone(body: BodyModel) -> None:
     moved = []
-    for held in (HELD, ()):
+    for held in (FIXED_JOINTS, ()):
         motion = RefinedMotion(np.zeros((1, 72)), np.zeros((1, 3)), body.rest_joints(np.zeros(10)), body.parents, held)
         motion.step(0, np.ones((25, 3)), 1e-2)
         moved.append(np.linalg.norm(motion.poses.reshape(24, 3), axis=1) > 0)
-    assert np.flatnonzero(~moved[0]).tolist() == list(HELD)
+    assert np.flatnonzero(~moved[0]).tolist() == list(FIXED_JOINTS)
     assert moved[1].all()
 
 
@@ -67,13 +67,13 @@ def test_without_additions_what_no_camera_saw_is_trained_and_changes_over_time(t
     over_time = {"use": "always", "start": 10, "width": 16, "points": 0, "bands": "all"}
     _, filled = trained(temporal=over_time | {"bands": "below_nyquist"})
     settings, person = trained(temporal=over_time, additions=LETTER)
-    assert settings.additions.unseen == "trained"
-    for one, everywhere in ((filled, False), (person, True)):
+    assert settings.additions.unseen_colours == "trained"
+    for one, move_unseen in ((filled, False), (person, True)):
         hidden = one.provenance == INFERRED
         assert hidden.any()
         first, last = (one.appearance_at(frame)[0][hidden, 0] for frame in (0, one.frames - 1))
-        assert (np.abs(first - last).max() > 0) == everywhere
-        assert one.network.every_band == one.network.everywhere == everywhere
+        assert (np.abs(first - last).max() > 0) == move_unseen
+        assert one.network.use_all_bands == one.network.move_unseen == move_unseen
 
 
 def test_black_or_another_colour_at_every_step_stands_behind(
@@ -96,12 +96,12 @@ def test_black_or_another_colour_at_every_step_stands_behind(
 
 def test_the_letters_network_is_told_every_band_of_time() -> None:
     assert time_bands(30) < 10
-    some, every = encode_time(7, 30), encode_time(7, 30, every_band=True)
+    some, every = encode_time(7, 30), encode_time(7, 30, use_all_bands=True)
     assert np.count_nonzero(some) < np.count_nonzero(every) == 21
     network = TemporalNetwork.start(
-        -np.ones(3), np.ones(3), 30, np.random.default_rng(0), 8, every_band=True, everywhere=True
+        -np.ones(3), np.ones(3), 30, np.random.default_rng(0), 8, use_all_bands=True, move_unseen=True
     )
     again = TemporalNetwork.from_arrays(network.to_arrays())
-    assert (again.every_band, again.everywhere) == (True, True)
+    assert (again.use_all_bands, again.move_unseen) == (True, True)
     plain = TemporalNetwork.start(-np.ones(3), np.ones(3), 30, np.random.default_rng(0), 8)
-    assert not {"every_band", "everywhere"} & set(plain.to_arrays())
+    assert not {"use_all_bands", "move_unseen"} & set(plain.to_arrays())

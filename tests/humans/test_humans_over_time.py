@@ -17,7 +17,7 @@ from studiorecon.configuration.settings import load
 from studiorecon.footage.video import to_bytes
 from studiorecon.humans.appearance import Appearance, OverTime
 from studiorecon.humans.crops import OUTSIDE, PERSON, HeldCrop
-from studiorecon.humans.drift import decide_appearance, drifting_share, track_brightness, tracked_frames
+from studiorecon.humans.drift import choose_frames, decide_appearance, drifting_share, track_brightness
 from studiorecon.humans.refined_motion import RefinedMotion
 from studiorecon.humans.surface_samples import gaussians_on, sample_surface
 from studiorecon.humans.train import Settings
@@ -192,7 +192,7 @@ def test_clothes_that_fade_are_learned(filmed: Callable) -> None:
 
 @pytest.mark.parametrize("frames", [1, 30, 240, 241, 1200, 9000])
 def test_a_long_clip_is_followed_in_runs_and_a_short_one_whole(frames: int) -> None:
-    found = tracked_frames(frames)
+    found = choose_frames(frames)
     seen = found[found >= 0]
     assert len(found) <= 250
     assert (np.diff(seen) > 0).all()

@@ -24,8 +24,8 @@ def edit(path: Path, text: str) -> None:
 
 def forget() -> None:
     """What a process of its own would not know."""
-    code._known.cache_clear()
-    code._parsed.cache_clear()
+    code._digests.cache_clear()
+    code._read_cached.cache_clear()
 
 
 def memory(copy: Path) -> Path:

@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 import yaml
 from studiorecon.render.keyframes import CameraKey, FreeKey
-from studiorecon.render.kinds import BESIDES, KINDS
+from studiorecon.render.kinds import EXTRA_OPTIONS, KINDS
 
 ROOT = Path(__file__).resolve().parents[2]
 SCHEMA = yaml.safe_load((ROOT / "workflow/schemas/config.schema.yaml").read_text())
@@ -28,7 +28,7 @@ def test_the_schema_knows_every_kind() -> None:
 @pytest.mark.parametrize("name", KINDS)
 def test_the_schema_of_a_kind_is_its_dataclass(name: str) -> None:
     described, kind = SCHEMA["$defs"][name], KINDS[name]
-    besides = set() if name == "heldout" else set(BESIDES)
+    besides = set() if name == "heldout" else set(EXTRA_OPTIONS)
     assert set(described["properties"]) == {field.name for field in dataclasses.fields(kind)} | besides
     assert set(described["required"]) == needed(kind)
     assert needed(kind) <= {"kind", "file"}, "a film needs only its kind, and a path its file"

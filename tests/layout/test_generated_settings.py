@@ -33,7 +33,7 @@ def test_a_setting_is_declared_once_with_its_meaning(section: Section) -> None:
     names = [setting.name for setting in section.settings()]
     assert len(names) == len(set(names))
     for setting in every(section.settings()):
-        assert setting.described.meaning.endswith("."), f"{section.name}.{setting.name} says nothing"
+        assert setting.description.meaning.endswith("."), f"{section.name}.{setting.name} says nothing"
 
 
 def every(settings: Iterable[Setting]) -> Iterator[Setting]:

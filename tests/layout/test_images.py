@@ -167,7 +167,7 @@ def test_an_image_has_what_our_steps_import_there(step: str, network: str) -> No
                 )
 
 
-# What draws on a GPU and measures LPIPS: then a rule that draws runs in vision (networks.drawn_by), which has them.
+# What draws on a GPU and measures LPIPS: then a rule that draws runs in vision (networks.rasteriser_image).
 ONLY_IN_VISION = {"torch", "gsplat", "kornia"}
 
 
@@ -183,7 +183,7 @@ def steps_and_images() -> list[tuple[str, str]]:
                 named = re.findall(r'(?<!_)image\("(\w+)"\)', container.group(1))
                 found |= {
                     (step.group(1), name)
-                    for name in [*named, *(["core", "vision"] if "drawn_by" in container.group(1) else [])]
+                    for name in [*named, *(["core", "vision"] if "rasteriser_image" in container.group(1) else [])]
                 }
     return sorted(found)
 

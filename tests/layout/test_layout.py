@@ -61,7 +61,7 @@ def test_imports_go_one_way() -> None:
     wrong = []
     for path in MODULES:
         room = path.relative_to(PACKAGE).parts[0]
-        for module in code.imported_by(path):
+        for module in code.imports_of_file(path):
             other = module.split(".")[0]
             if room in FOUNDATIONS:
                 below = {*FOUNDATIONS[: FOUNDATIONS.index(room) + 1], *GROUND, *BESIDE.get(room, ())}
@@ -74,7 +74,7 @@ def test_imports_go_one_way() -> None:
 def imported_when_run(path: Path) -> list[str]:
     """Our modules that a file imports, but for those that only a type checker sees."""
     body = [s for s in tree(path).body if not (isinstance(s, ast.If) and ast.unparse(s.test) == "TYPE_CHECKING")]
-    return [name for name in code.imported_at(body) if code.module_path(name) is not None]
+    return [name for name in code.imports_of_statements(body) if code.module_path(name) is not None]
 
 
 def test_no_module_imports_itself_by_way_of_others() -> None:
@@ -281,7 +281,9 @@ def test_steps_without_torch_do_not_import_it() -> None:
 def test_what_trains_on_cuda_is_imported_only_when_it_is_asked_for() -> None:
     for path in MODULES:
         outside = [node for node in tree(path).body if isinstance(node, (ast.Import, ast.ImportFrom))]
-        assert not code.imported_at(outside) & ON_REQUEST, f"{name_of(path)} imports {ON_REQUEST} outside a function"
+        assert not code.imports_of_statements(outside) & ON_REQUEST, (
+            f"{name_of(path)} imports {ON_REQUEST} outside a function"
+        )
 
 
 # Where only a part of the footage is used, the clocks say which before anybody is looked for in it; they then come from

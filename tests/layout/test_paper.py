@@ -20,8 +20,8 @@ def test_the_page_is_up_to_date() -> None:
 
 def test_every_setting_of_which_the_paper_speaks_has_its_word_or_a_reason() -> None:
     named = dict(paper_settings.paper_values())
-    without = {name for name, setting in named.items() if setting.described.paper_value is None}
-    assert without == set(paper_settings.WITHOUT), (
+    without = {name for name, setting in named.items() if setting.description.paper_value is None}
+    assert without == set(paper_settings.REASONS), (
         "configuration.paper_settings.WITHOUT says why a setting has no letter"
     )
 

@@ -46,7 +46,7 @@ def test_the_owner_of_a_held_row_is_a_module_that_its_test_runs(found: dict[str,
 @cache
 def reached(test_file: Path) -> set[str]:
     """Modules of the package that a test file imports, itself or by what tests share, and what those import in turn."""
-    imported = set(code.imported_by(test_file))
+    imported = set(code.imports_of_file(test_file))
     for node in ast.walk(tree(test_file)):
         if isinstance(node, ast.ImportFrom) and (node.module or "").startswith("tests.made"):
             shared = table.ROOT.joinpath(*node.module.split(".")).with_suffix(".py")

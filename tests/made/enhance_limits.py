@@ -17,7 +17,7 @@ PAPER = Injection(
     blur_px=11,
     blur_sigma_px=2.0,
     form="residual",
-    settle=False,
+    whole_levels=False,
     check=True,
     cut_share=0.1,
 )

@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 from studiorecon.configuration import settings as settings_module
 from studiorecon.geometry import rotations
-from studiorecon.objects.find import ObjectView, Settings, find_objects, with_usual_difference
+from studiorecon.objects.find import ObjectView, Settings, add_typical_difference, find_objects
 from studiorecon.scene.camera import Camera
 from studiorecon.splatting.cpu.rasterise import Rasteriser
 from studiorecon.splatting.rigid_object import RigidObject
@@ -78,7 +78,7 @@ def found(settings: Settings, pictured: Callable[[Camera, int], np.ndarray]) -> 
     moments = [([pictured(c, frame) for c in CAMERAS], [nobody(c, frame) for c in CAMERAS]) for frame in range(FRAMES)]
     views = [ObjectView(c, Path(), plate_of(c), np.ones(c.hw, bool), np.zeros(c.hw, np.float32)) for c in CAMERAS]
     return find_objects(
-        iter(moments), with_usual_difference(views, iter(moments), settings.loose), FRAMES, FPS, settings, 1
+        iter(moments), add_typical_difference(views, iter(moments), settings.loose), FRAMES, FPS, settings, 1
     )
 
 

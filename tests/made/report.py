@@ -78,7 +78,7 @@ def report_scene(folder: Path, root: Path, default_settings: Callable, lpips: Pa
     write_decisions(folder / "survey/decisions.json", early)
     write_decisions(
         folder / "report/audit.json",
-        [Decision("injection", "s", 0.3, (0.28, 0.32), 0.2, "on", "it flickers", obeyed_by="X")],
+        [Decision("injection", "s", 0.3, (0.28, 0.32), 0.2, "on", "it flickers", used_by="X")],
     )
     write_json(folder / "cameras/refinement.json", {"median_px": 0.5})
     cv2.imwrite(str(folder / "cameras/refinement.png"), np.full((60, 90, 3), 128, np.uint8))

@@ -119,7 +119,7 @@ def test_an_edited_adapter_reruns_the_steps_that_run_it_and_no_others() -> None:
 
 def test_stages_know_kinds_and_not_adapters() -> None:
     for path in (path for stage in STAGES for path in (code.PACKAGE / stage).rglob("*.py")):
-        known = {name for name in code.imported_by(path) if name.startswith("models.adapters.")}
+        known = {name for name in code.imports_of_file(path) if name.startswith("models.adapters.")}
         # LPIPS is read from a folder that its own settings name.
         assert known <= {"models.adapters.lpips"}, path
 

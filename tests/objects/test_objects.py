@@ -13,7 +13,7 @@ import pytest
 from studiorecon.camera_files.colmap import write_model
 from studiorecon.configuration import settings as settings_module
 from studiorecon.footage.video import write_lossless
-from studiorecon.objects.find import ObjectView, Settings, find_objects, run, with_usual_difference
+from studiorecon.objects.find import ObjectView, Settings, add_typical_difference, find_objects, run
 from studiorecon.objects.residual import (
     LOOSE,
     ROOM,
@@ -21,7 +21,7 @@ from studiorecon.objects.residual import (
     loose_regions,
     pixel_states,
     shadow_free_difference,
-    usual_difference,
+    typical_difference,
 )
 from studiorecon.objects.rotation import NEVER_DB
 from studiorecon.objects.sightings import find_sightings
@@ -73,7 +73,7 @@ def found(
 ) -> list[RigidObject]:
     views = [ObjectView(c, Path(), plate_of(c), np.ones(c.hw, bool), np.zeros(c.hw, np.float32)) for c in CAMERAS]
     seen = list(moments(balls, hidden, showing))
-    return find_objects(iter(seen), with_usual_difference(views, iter(seen), settings.loose), FRAMES, FPS, settings, 1)
+    return find_objects(iter(seen), add_typical_difference(views, iter(seen), settings.loose), FRAMES, FPS, settings, 1)
 
 
 @pytest.fixture(scope="module")
@@ -190,13 +190,15 @@ def test_what_always_differs_is_the_plates_fault(settings: Settings) -> None:
     patterned[5:10] = 1.4 * loose.difference
     ball[5:15, 5:15] = 5 * loose.difference
     nobody_there, somebody = np.zeros((20, 20), bool), np.ones((20, 20), bool)
-    usual = usual_difference([patterned, patterned, ball], [nobody_there] * 3)
+    usual = typical_difference([patterned, patterned, ball], [nobody_there] * 3)
     assert (usual == patterned).all(), "a thing is there for a moment only"
     state = pixel_states(patterned + ball, usual, ~nobody_there, nobody_there, loose)
     assert (state[:, :5] == ROOM).all()
     assert (state[6:14, 6:14] == LOOSE).all()
-    assert (usual_difference([ball], [somebody]) == 0).all()
-    stands = pixel_states(ball, usual_difference([ball, ball], [nobody_there] * 2), ~nobody_there, nobody_there, loose)
+    assert (typical_difference([ball], [somebody]) == 0).all()
+    stands = pixel_states(
+        ball, typical_difference([ball, ball], [nobody_there] * 2), ~nobody_there, nobody_there, loose
+    )
     assert (stands[7:13, 7:13] == LOOSE).all(), "what differs by far stood there"
 
 

@@ -57,4 +57,4 @@ def test_round_is_what_all_moments_say_whichever_one_differs(
 ) -> None:
     track = flown([once if frame == at else mostly for frame in range(FRAMES)])
     assert isinstance(track, ObjectTrack), track
-    assert track.round is is_round
+    assert track.is_sphere is is_round

@@ -76,7 +76,7 @@ def test_compiled_files_that_a_full_disk_cut_short_are_named(tmp_path: Path) -> 
 
 
 def test_a_step_whose_memory_is_limited_says_that_this_may_be_why() -> None:
-    for limit, said in ((2**28, "268 MB of memory are allowed here (ulimit -v)"), (2**44, "None")):
+    for limit, said in ((2**28, "this process may use 268 MB of memory (ulimit -v)"), (2**44, "None")):
         script = f"""if True:
             import resource
             from studiorecon.machine import resource_errors as machine

@@ -14,7 +14,7 @@ import pytest
 from snakemake_interface_logger_plugins.common import LogEvent
 from snakemake_logger_plugin_studiorecon import LogHandler
 from studiorecon import progress
-from studiorecon.cli.run_progress import KEPT, Run, Running, read_seconds, record_seconds
+from studiorecon.cli.run_progress import REMEMBERED_JOBS, Run, Running, read_seconds, record_seconds
 from studiorecon.pages.run_summary import closing_lines
 
 
@@ -54,7 +54,7 @@ def test_seconds_are_remembered_by_scene_and_only_the_last(tmp_path: Path) -> No
     record_seconds(path, "demo", {"film": [1.0] * 30, "train": [5.0]})
     record_seconds(path, "demo", {"film": [2.0]})
     record_seconds(path, "tiny", {"film": [9.0]})
-    assert read_seconds(path, "demo")["film"] == [1.0] * (KEPT - 1) + [2.0]
+    assert read_seconds(path, "demo")["film"] == [1.0] * (REMEMBERED_JOBS - 1) + [2.0]
     assert read_seconds(path, "tiny") == {"film": [9.0], "train": [5.0]}
     path.write_text("{", encoding="utf-8")
     assert read_seconds(path, "demo") == {}

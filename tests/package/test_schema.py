@@ -12,7 +12,7 @@ import pytest
 import yaml
 from snakemake.cli import parse_config
 from snakemake.utils import update_config
-from studiorecon.configuration.schema import coerce_types, mistakes, named_settings
+from studiorecon.configuration.schema import coerce_types, mistakes, walk_settings
 from studiorecon.survey.effects import EFFECTS
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -145,6 +145,6 @@ def test_several_mistakes_are_all_told_and_misspelt_names_first() -> None:
 
 
 def test_every_setting_is_named_once() -> None:
-    names = [name for name, _ in named_settings(schema())]
+    names = [name for name, _ in walk_settings(schema())]
     assert len(names) == len(set(names)) > 150
     assert "people.fit.iterations" in names

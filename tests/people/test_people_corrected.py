@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from studiorecon.errors import UserError
 from studiorecon.people.association.rejected_people import RejectedPerson, report_rejected
-from studiorecon.people.corrected_identities import people_table_rows, read_corrected
+from studiorecon.people.corrected_identities import people_table_rows, read_corrected_identities
 from studiorecon.scene.people import Detections
 
 
@@ -30,12 +30,12 @@ def write(folder: Path, *lines: tuple[str, int, str]) -> Path:
 
 
 def test_corrections_are_taken_and_what_is_left_out_belongs_to_nobody(tmp_path: Path) -> None:
-    table = read_corrected(
+    table = read_corrected_identities(
         write(tmp_path, ("a", 0, "p1"), ("b", 0, "p1"), ("a", 1, "p0"), ("c", 2, "p0"), ("b", 4, "")), FOUND
     )
     assert table == {("a", 0): "p1", ("a", 1): "p0", ("b", 0): "p1", ("b", 4): "", ("c", 2): "p0"}
     assert people_table_rows(table, FOUND) == [("p0", 3, "a,c", 1.0, "corrected"), ("p1", 4, "a,b", 1.0, "corrected")]
-    short = read_corrected(write(tmp_path, ("a", 0, "p0"), ("b", 0, "p0")), FOUND)
+    short = read_corrected_identities(write(tmp_path, ("a", 0, "p0"), ("b", 0, "p0")), FOUND)
     assert {key for key, person in short.items() if not person} == {("a", 1), ("b", 4), ("c", 2)}
 
 
@@ -56,8 +56,8 @@ def test_lines_changed_as_advised_make_a_person(
     tmp_path: Path, lines: list[tuple[str, int, str]], words: str, mended: list[tuple[str, int, str]]
 ) -> None:
     with pytest.raises(UserError, match=words):
-        read_corrected(write(tmp_path, *lines), FOUND)
-    rows = people_table_rows(read_corrected(write(tmp_path, *mended), FOUND), FOUND)
+        read_corrected_identities(write(tmp_path, *lines), FOUND)
+    rows = people_table_rows(read_corrected_identities(write(tmp_path, *mended), FOUND), FOUND)
     assert [row[0] for row in rows] == ["p0"]
 
 
@@ -69,7 +69,9 @@ def test_the_lines_of_a_warning_accept_the_person_and_join_two_names(
     lines = re.findall(r"([a-d])\t(\d+)\t(p\d+)", capsys.readouterr().out)
     identities = {("a", 0): "", ("a", 1): "p0", ("b", 0): "", ("b", 4): "", ("c", 2): "p0"}
     told = identities | {(camera, int(track)): person for camera, track, person in lines}
-    rows = people_table_rows(read_corrected(write(tmp_path, *((*key, who) for key, who in told.items())), FOUND), FOUND)
+    rows = people_table_rows(
+        read_corrected_identities(write(tmp_path, *((*key, who) for key, who in told.items())), FOUND), FOUND
+    )
     assert [(row[0], row[2]) for row in rows] == [("p0", "a,c"), ("p1", "a,b")]
     joined = write(tmp_path, *((*key, who and "p0") for key, who in told.items()))
-    assert [row[2] for row in people_table_rows(read_corrected(joined, FOUND), FOUND)] == ["a,b,c"]
+    assert [row[2] for row in people_table_rows(read_corrected_identities(joined, FOUND), FOUND)] == ["a,b,c"]

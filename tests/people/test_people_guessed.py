@@ -85,8 +85,8 @@ def test_of_two_cameras_one_knows_where_somebody_is_whom_the_other_missed() -> N
     shares = [agreement(whole.keypoints[t], expected.pixels[t], expected.near_share) for t in range(FRAMES)]
     assert min(shares) > 0.8
     plan = plan_second_look(pair[1], [expected], who, FRAMES)
-    assert [look for look in plan.looks if look[2] < 0] == [(t, 0, -1) for t in range(8, 12)]
-    assert not plan.dropped.any()
+    assert [look for look in plan.searches if look[2] < 0] == [(t, 0, -1) for t in range(8, 12)]
+    assert not plan.drop.any()
 
 
 def test_of_two_cameras_that_disagree_the_one_that_contradicts_itself_is_put_right() -> None:
@@ -97,9 +97,9 @@ def test_of_two_cameras_that_disagree_the_one_that_contradicts_itself_is_put_rig
     for view, expected in ((0, wrong), (1, np.zeros(FRAMES, bool))):
         other = project_guess("p0", view, cameras, pair, who, FRAMES)
         plan = plan_second_look(pair[view], [other], who, FRAMES)
-        assert (plan.swapped == wrong).all(), "each takes the other for wrong"
+        assert (plan.swap_sides == wrong).all(), "each takes the other for wrong"
         itself = is_left_right_swapped(pair[view], cameras[view], ["p0"] * FRAMES, FPS)
-        assert (plan.swapped & itself == expected).all()
+        assert (plan.swap_sides & itself == expected).all()
 
 
 def test_without_a_guess_nothing_is_known() -> None:

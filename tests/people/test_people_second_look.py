@@ -63,15 +63,15 @@ def test_agreement_is_a_share_of_the_body_and_not_of_the_picture() -> None:
 def test_somebody_missing_is_looked_for_and_somebody_found_is_left_alone() -> None:
     found = detections(*((t, 0, somebody(100)) for t in range(FRAMES) if t != 3))
     plan = plan_second_look(found, [everywhere("p0", 100)], {("left", 0): "p0"}, FRAMES)
-    assert plan.looks == [(3, 0, -1)]
-    assert not plan.swapped.any()
-    assert not plan.dropped.any()
+    assert plan.searches == [(3, 0, -1)]
+    assert not plan.swap_sides.any()
+    assert not plan.drop.any()
 
 
 def test_sides_that_were_exchanged_are_put_right() -> None:
     rows = [(t, 0, swap_left_right(LAYOUT, somebody(100)) if t == 2 else somebody(100)) for t in range(FRAMES)]
     plan = plan_second_look(detections(*rows), [everywhere("p0", 100)], {("left", 0): "p0"}, FRAMES)
-    assert plan.swapped.tolist() == [t == 2 for t in range(FRAMES)]
+    assert plan.swap_sides.tolist() == [t == 2 for t in range(FRAMES)]
     result = improve_detections(detections(*rows), plan, [], [everywhere("p0", 100)], ["p0"] * FRAMES, 0)
     np.testing.assert_allclose(result.keypoints[:, :, :2], np.repeat(somebody(100)[None], FRAMES, 0))
 
@@ -84,8 +84,8 @@ def test_a_skeleton_on_somebody_else_and_one_found_twice_go() -> None:
     whose = {("left", 0): "p0", ("left", 1): "p1", ("left", 2): "p0"}
     found = detections(*sorted((r for r in rows if r[:2] != (2, 0)), key=lambda r: r[0]))
     plan = plan_second_look(found, people, whose, FRAMES)
-    assert {(int(found.frame[d]), int(found.track[d])) for d in np.flatnonzero(plan.dropped)} == {(2, 2), (4, 3)}
-    assert [look[:2] for look in plan.looks] == [(2, 0)]
+    assert {(int(found.frame[d]), int(found.track[d])) for d in np.flatnonzero(plan.drop)} == {(2, 2), (4, 3)}
+    assert [look[:2] for look in plan.searches] == [(2, 0)]
 
 
 def test_a_skeleton_mixed_of_two_people_goes_and_a_strangers_stays() -> None:
@@ -97,14 +97,14 @@ def test_a_skeleton_mixed_of_two_people_goes_and_a_strangers_stays() -> None:
     mixed = np.where(upper[:, None], somebody(100), somebody(300)) + RNG.normal(0, 3, SHAPE.shape)
     found = detections(*rows, (2, 2, mixed), (3, 3, somebody(500.0)), (3, 4, somebody(200.0)))
     plan = plan_second_look(found, people, {("left", 0): "p0", ("left", 1): "p1"}, FRAMES)
-    assert {int(found.track[d]) for d in np.flatnonzero(plan.dropped)} == {2}
+    assert {int(found.track[d]) for d in np.flatnonzero(plan.drop)} == {2}
 
 
 def test_a_free_track_where_somebody_is_expected_becomes_theirs() -> None:
     found = detections(*((t, 7 if t == 3 else 0, somebody(100)) for t in range(FRAMES)))
     plan = plan_second_look(found, [everywhere("p0", 100)], {("left", 0): "p0"}, FRAMES)
     assert plan.track.tolist() == [0] * FRAMES
-    assert plan.looks == []
+    assert plan.searches == []
 
 
 def test_nothing_is_known_where_the_other_cameras_see_too_little() -> None:
@@ -112,8 +112,8 @@ def test_nothing_is_known_where_the_other_cameras_see_too_little() -> None:
     plan = plan_second_look(
         detections((0, 0, somebody(100))), [ExpectedKeypoints("p0", unknown)], {("left", 0): "p0"}, FRAMES
     )
-    assert plan.looks == []
-    assert not plan.dropped.any()
+    assert plan.searches == []
+    assert not plan.drop.any()
 
 
 def test_the_region_looked_at_holds_the_whole_body() -> None:
@@ -181,7 +181,7 @@ def test_what_is_found_in_a_late_picture_goes_back_to_its_moment(monkeypatch: py
     late = clocks.late_frames("left")[2]
     assert abs(late) == pytest.approx(0.5)
     view = second_look.CameraPictures(footage, None, {}, clocks)
-    plan = replace(plan_second_look(detections((0, 0, somebody(900))), [walking], {}, FRAMES), looks=[(2, 0, -1)])
+    plan = replace(plan_second_look(detections((0, 0, somebody(900))), [walking], {}, FRAMES), searches=[(2, 0, -1)])
     (look,) = second_look.redetect(None, [np.zeros((480, 640, 3), np.uint8)], plan, [walking], None, view)
     np.testing.assert_allclose(asked[0][0], somebody(124 + 12 * late)[:, 0][[23, 24]].mean())
     np.testing.assert_allclose(look.keypoints[:, 0], somebody(124)[:, 0])

@@ -29,7 +29,7 @@ SCHEMA = yaml.safe_load((ROOT / "workflow/schemas/config.schema.yaml").read_text
 NOBODY = UserChoices({}, SCHEMA)
 USUAL = 4  # gaps between the cameras of a ring of four
 EVERYTHING = dict.fromkeys(ON_DEMAND.values(), "on")
-DEMO = Footage(training=4, held_out=4, detected=4, frames=60, wh=(480, 272), people=2)
+DEMO = Footage(training=4, held_out=4, detector_cameras=4, frames=60, wh=(480, 272), people=2)
 
 
 def minutes_of(name: str, footage: Footage = DEMO, cores: int = 2) -> float:
@@ -40,14 +40,14 @@ def minutes_of(name: str, footage: Footage = DEMO, cores: int = 2) -> float:
 def test_every_rule_with_work_is_a_rule_and_has_a_price() -> None:
     text = "\n".join(path.read_text() for path in (ROOT / "workflow/rules").glob("*.smk"))
     rules = set(re.findall(r"(?:rule|checkpoint) (\w+):", text)) | set(re.findall(r"use rule \w+ as (\w+) with", text))
-    work = workload(replace(DEMO, made=True), DEFAULTS, USUAL, EVERYTHING)
+    work = workload(replace(DEMO, synthetic=True), DEFAULTS, USUAL, EVERYTHING)
     assert set(work) <= rules
     assert set(work) == set(read_prices().rules)
     assert all(price.job_s + price.unit_s > 0 for price in read_prices().rules.values())
 
 
 def test_a_longer_film_costs_more_at_every_rule_that_looks_at_all_of_it() -> None:
-    short, long = (workload(replace(DEMO, made=True, frames=n), DEFAULTS, USUAL, EVERYTHING) for n in (60, 600))
+    short, long = (workload(replace(DEMO, synthetic=True, frames=n), DEFAULTS, USUAL, EVERYTHING) for n in (60, 600))
     grown = {rule for rule in short if long[rule].units > 5 * short[rule].units}
     assert {"people_fit", "cameras_held_out", "render_light"} <= grown
     assert not {rule for rule in grown if read_prices().rules[rule].unit_s == 0}
@@ -58,7 +58,7 @@ def test_a_longer_film_costs_more_at_every_rule_that_looks_at_all_of_it() -> Non
     [
         ({"frames": 600}, "masks_segment"),
         ({"frames": 600}, "cameras_refine"),
-        ({"training": 8, "detected": 8}, "depth_room"),
+        ({"training": 8, "detector_cameras": 8}, "depth_room"),
         ({"people": 4}, "people_second_look"),
         ({"wh": (1920, 1080)}, "capture_frames"),
     ],
@@ -77,7 +77,7 @@ def test_larger_footage_is_only_decoded_longer_where_frames_keep_their_size() ->
 def test_an_empty_room_and_recorded_keypoints_ask_for_less() -> None:
     empty = workload(replace(DEMO, people=0), DEFAULTS, USUAL)
     assert not {"humans_train", "masks_segment", "people_fit", "report_recognition"} & set(empty)
-    assert "detect_people" not in workload(replace(DEMO, detected=0), DEFAULTS, USUAL)
+    assert "detect_people" not in workload(replace(DEMO, detector_cameras=0), DEFAULTS, USUAL)
 
 
 def test_presets_stand_in_the_order_of_their_cost_from_a_first_look_on() -> None:
@@ -104,7 +104,7 @@ class Planned:
     """The attributes of a plan that a prediction needs."""
 
     def __init__(self, forced: dict[str, str] | None = None, cameras: int = 4) -> None:
-        self.scene, self.people, self.forced = "there", True, forced or {}
+        self.scene, self.people, self.forced_effects = "there", True, forced or {}
         self.training = [f"cam{k}" for k in range(cameras)]
         self.segments = [f"{k:02d}" for k in range(cameras)]
 
@@ -126,7 +126,7 @@ def bought_for(
 
 
 def test_a_number_of_people_that_is_assumed_is_said() -> None:
-    choice = bought_for(600, points(look=22.0, defaults=23.0), footage=replace(DEMO, counted=False))
+    choice = bought_for(600, points(look=22.0, defaults=23.0), footage=replace(DEMO, people_known=False))
     assert "2 people assumed" in choice.sentence()
 
 
@@ -228,7 +228,7 @@ def test_the_pace_is_probed_once_and_then_remembered(tmp_path: Path, monkeypatch
 def test_a_studio_is_planned_from_its_description_and_made_first(configured: Callable[..., dict], home: Path) -> None:
     config = configured(dataset="resources/studio/demo.yaml")
     footage = measure_footage(make_plan(config, home), 30.0)
-    assert footage == replace(DEMO, made=True)
+    assert footage == replace(DEMO, synthetic=True)
     assert workload(footage, DEFAULTS, USUAL)["studio_capture"].jobs == 1
     assert "studio_capture" not in workload(DEMO, DEFAULTS, USUAL)
 
@@ -247,7 +247,7 @@ def test_keypoints_say_how_many_people_two_cameras_see(
         for frame in range(6):
             (folder / f"{frame:06d}_keypoints.json").write_text(json.dumps({"people": [person] * count}))
     footage = measure_footage(make_plan(configured(), home), 30.0)
-    assert (footage.people, footage.counted, footage.frames) == (people, counted, 6)
+    assert (footage.people, footage.people_known, footage.frames) == (people, counted, 6)
 
 
 def test_footage_that_cannot_be_read_is_named(configured: Callable[..., dict], home: Path) -> None:

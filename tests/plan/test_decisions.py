@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 from studiorecon.errors import UserError
-from studiorecon.plan.decisions import one_of_pattern
+from studiorecon.plan.decisions import camera_pattern
 from studiorecon.plan.make import make_plan
 from studiorecon.plan.networks import read_images
 
@@ -24,8 +24,8 @@ def plates(capture: Path, cameras: list[str]) -> None:
 def test_a_capture_with_everything_needs_no_detector_and_no_network(configured, home):
     plan = make_plan(configured(), home)
     assert (plan.scene, plan.studio, plan.description) == ("capture", "", "")
-    assert plan.cameras == plan.training == plan.person_sources.watched == plan.person_sources.timed == CAMERAS
-    assert not plan.person_sources.detected
+    assert plan.cameras == plan.training == plan.person_sources.cameras == plan.person_sources.clock_cameras == CAMERAS
+    assert not plan.person_sources.detector_cameras
     assert not plan.held_out
     assert not plan.from_people
     assert [Path(f).name for f in plan.calibration] == ["intri.yml", "extri.yml"]
@@ -53,24 +53,24 @@ def test_held_out_cameras_are_not_trained_on(configured, capture, home):
 
 def test_the_detector_looks_where_no_keypoints_are_or_everywhere(configured, capture, home):
     (capture / "keypoints/back").rmdir()
-    assert make_plan(configured(), home).person_sources.detected == ["back"]
-    assert make_plan(configured(detect={"source": "detector"}), home).person_sources.detected == CAMERAS
+    assert make_plan(configured(), home).person_sources.detector_cameras == ["back"]
+    assert make_plan(configured(detect={"source": "detector"}), home).person_sources.detector_cameras == CAMERAS
     with pytest.raises(UserError, match=r"camera back of dataset .* has no keypoints"):
         make_plan(configured(detect={"source": "keypoints"}), home)
 
 
 def test_nobody_is_looked_for_in_held_out_pictures_for_the_doctors_sake(configured, capture, home):
     (capture / "capture.yaml").write_text("held_out: [back]\n")
-    assert make_plan(configured(), home).person_sources.checked == CAMERAS, "recorded keypoints cost nothing"
-    assert make_plan(configured(detect={"source": "detector"}), home).person_sources.checked == ["left", "right"]
+    assert make_plan(configured(), home).person_sources.doctor_cameras == CAMERAS, "recorded keypoints cost nothing"
+    assert make_plan(configured(detect={"source": "detector"}), home).person_sources.doctor_cameras == ["left", "right"]
 
 
 def test_people_do_not_time_what_the_detector_sees_only_after_the_clocks(configured, capture, home):
     (capture / "keypoints/back").rmdir()
-    assert make_plan(configured(), home).person_sources.timed == CAMERAS
+    assert make_plan(configured(), home).person_sources.clock_cameras == CAMERAS
     (capture / "capture.yaml").write_text("frames: {first: 4, count: 20}\n")
-    assert make_plan(configured(), home).person_sources.timed == ["left", "right"]
-    assert make_plan(configured(clocks={"sync": "never"}), home).person_sources.timed == []
+    assert make_plan(configured(), home).person_sources.clock_cameras == ["left", "right"]
+    assert make_plan(configured(clocks={"sync": "never"}), home).person_sources.clock_cameras == []
 
 
 def test_without_a_calibration_cameras_are_found_from_people(configured, capture, home):
@@ -90,7 +90,7 @@ def test_clean_plates_alone_show_nobody(configured, capture, home):
     plates(capture, CAMERAS)
     with pytest.raises(UserError, match=r"no 2D keypoints .* set it to auto"):
         make_plan(configured(detect={"source": "keypoints"}), home)
-    assert make_plan(configured(), home).person_sources.detected == CAMERAS
+    assert make_plan(configured(), home).person_sources.detector_cameras == CAMERAS
 
 
 @pytest.mark.parametrize(
@@ -110,8 +110,8 @@ def test_what_is_forced_on_must_have_something_to_do(configured, home, effect, e
 def test_forced_away_people_are_not_looked_for(configured, home):
     plan = make_plan(configured(survey={"force": {"people": "off"}}, detect={"source": "detector"}), home)
     assert not plan.people
-    assert not plan.person_sources.detected
-    assert not plan.person_sources.timed
+    assert not plan.person_sources.detector_cameras
+    assert not plan.person_sources.clock_cameras
 
 
 def test_people_who_are_forced_are_looked_for_in_a_room_that_is_said_to_be_empty(configured, capture, home):
@@ -172,6 +172,6 @@ def test_smpls_own_pickle_becomes_arrays_first(configured, home, tmp_path):
 
 
 def test_a_constraint_matches_these_names_and_none_where_there_are_none():
-    assert [bool(re.fullmatch(one_of_pattern(["a.b", "c"]), name)) for name in ("a.b", "c", "axb", "")] == [1, 1, 0, 0]
-    assert not re.fullmatch(one_of_pattern([]), "")
-    assert not re.fullmatch(one_of_pattern([]), "a")
+    assert [bool(re.fullmatch(camera_pattern(["a.b", "c"]), name)) for name in ("a.b", "c", "axb", "")] == [1, 1, 0, 0]
+    assert not re.fullmatch(camera_pattern([]), "")
+    assert not re.fullmatch(camera_pattern([]), "a")

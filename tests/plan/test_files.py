@@ -114,7 +114,7 @@ def test_cameras_that_people_do_not_place_take_no_part(configured, capture, home
     assert files.cameras(SCENE) == files.training(SCENE) == files.evaluated_cameras(SCENE) == ["back", "right"]
     assert files.held_out(SCENE) == files.heldout_film(SCENE) == []
     assert files.evaluated_film(SCENE) == ["train"]
-    assert files.drawn(SCENE) == ["train", *(f for f in files.plan.films if f != "heldout")]
+    assert files.renders(SCENE) == ["train", *(f for f in files.plan.films if f != "heldout")]
     assert [Path(path).stem for path in files.detections(SCENE)] == ["back", "right"]
     written.write_text(json.dumps({"lenses": [{"name": name} for name in ("right", "left")]}))
     assert files.evaluated_cameras(SCENE) == ["left"]

@@ -80,7 +80,7 @@ def test_a_plate_does_not_show_the_shadow_of_who_was_away_most_of_the_time(perso
     for one in (stays, visits):
         shade = build_shading(lamp(), static, [one], [one])
         assert shade is not None
-        usual.append(shade.usual)
+        usual.append(shade.plate_light)
     assert usual[0].min() < 0.9
     assert usual[1].min() > 0.95
 

@@ -188,7 +188,7 @@ def test_a_planted_lamp_is_found_and_explains_pictures_it_was_not_fitted_to(
     light = render_light.estimate_light(
         [render_light.FloorObservations(points, ratio)], range(MOMENTS), bodies, ROOM_BOX, settings
     )
-    assert light.kept
+    assert light.accepted
     assert found_lamp_deg(light) < off_deg
     if case != "half measured":
         assert light.share.sum() == pytest.approx(LAMP_SHARE, abs=0.1)
@@ -202,7 +202,7 @@ def test_without_shadows_no_light_is_kept(planted: tuple, settings: render_light
     light = render_light.estimate_light(
         [render_light.FloorObservations(points, flat)], range(MOMENTS), bodies, ROOM_BOX, settings
     )
-    assert not light.kept
+    assert not light.accepted
     assert "without" in light.reason
     unseen = render_light.estimate_light(
         [render_light.FloorObservations(points, np.full_like(ratio, np.nan))],
@@ -211,7 +211,7 @@ def test_without_shadows_no_light_is_kept(planted: tuple, settings: render_light
         ROOM_BOX,
         settings,
     )
-    assert not unseen.kept
+    assert not unseen.accepted
     assert "too little floor" in unseen.reason
 
 
@@ -303,7 +303,7 @@ def test_the_step_finds_the_lamp_in_files_and_refuses_what_does_not_fit(
     settings = settings_module.load(render_light.Settings, default_settings("render"), "render")
     render_light.run(settings, **files)
     found = read_light(files["light"])
-    assert found.kept
+    assert found.accepted
     assert found_lamp_deg(found) < 8
     with pytest.raises(UserError, match="no person is there"):
         render_light.run(settings, **files | {"fits": []})
@@ -400,7 +400,7 @@ def test_things_throw_shadows_and_those_of_a_board_turn_with_it() -> None:
         np.zeros((len(points), 1, 3)),
     )
     light = replace(lit(), sky=0.0, contact=0.0, share=np.array([0.8]))
-    part = 0.8 * light.lamps.falloff(points)[:, 0] / light.usual
+    part = 0.8 * light.lamps.falloff(points)[:, 0] / light.mean_falloff
     part /= 1 + part - 0.8
 
     def found(what: RigidObject, frame: float) -> np.ndarray:

@@ -24,7 +24,7 @@ def test_who_drifts_most_speaks_for_all_and_who_was_not_asked_for_nobody() -> No
     assert decide_appearance_network({"p0": replace(still, verdict="on")}, 0.1).verdict == "on", (
         "what training did, not once more"
     )
-    assert found.obeyed_by
+    assert found.used_by
     assert decide_appearance_network({"p0": None}, 0.1).verdict == "undetermined"
     assert decide_appearance_network({}, 0.1).verdict == "undetermined"
 

@@ -80,7 +80,7 @@ def test_whom_association_left_out_stands_on_the_page_with_what_takes_them_in(re
     part = text.split("<h2>Left out</h2>")[1].split("<h2>")[0]
     for told in ("r0", "2.5 s", "left, right", "it has no &lt;depth&gt;", "left\t3\tp0\nright\t1\tp0"):
         assert told in part
-    assert sections.left_out_people([]) == ""
+    assert sections.rejected_people_table([]) == ""
 
 
 def test_the_page_needs_no_network_and_shows_the_numbers(reported: Path) -> None:

@@ -22,7 +22,7 @@ def test_a_verdict_needs_the_whole_interval(interval: tuple[float, float], verdi
     effect = replace(INJECTION, on_above=on_above, threshold=1.0)
     made = effect.decide((low + high) / 2, (low, high), "why")
     assert made.verdict == verdict
-    assert made.called_for == (verdict == "on")
+    assert made.is_on == (verdict == "on")
     assert ("cheaper" in made.reason) == (verdict == "undetermined")
 
 
@@ -39,7 +39,7 @@ def test_a_value_outside_of_its_interval_is_refused() -> None:
 
 
 def test_decisions_survive_their_file(tmp_path: Path) -> None:
-    made = [effect.left_to("report/audit.json") for effect in TRAINED]
+    made = [effect.undecided("report/audit.json") for effect in TRAINED]
     write_decisions(tmp_path / "decisions.json", made)
     assert list(read_decisions(tmp_path / "decisions.json").values()) == made
 

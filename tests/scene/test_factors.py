@@ -20,14 +20,14 @@ def test_a_gained_picture_comes_back_to_a_level_in_bytes_and_exactly_in_floats(p
     gain = np.array([1.12, 0.9, 1.01])
     exposure = Factors({"a": gain[None]})
     gained = np.rint(picture * gain).astype(np.uint8)
-    assert np.abs(exposure.even_out("a", gained).astype(int) - picture).max() <= 1
+    assert np.abs(exposure.normalise("a", gained).astype(int) - picture).max() <= 1
     exact = (picture / 255 * gain / 2).astype(np.float32)
-    np.testing.assert_allclose(exposure.even_out("a", exact), picture / 510, atol=1e-6)
+    np.testing.assert_allclose(exposure.normalise("a", exact), picture / 510, atol=1e-6)
 
 
 def test_what_has_no_factor_stays_the_same_array(picture: np.ndarray) -> None:
-    assert NONE.even_out("a", picture, 5) is picture
-    assert Factors({"b": np.full((1, 3), 2.0)}).even_out("a", picture) is picture
+    assert NONE.normalise("a", picture, 5) is picture
+    assert Factors({"b": np.full((1, 3), 2.0)}).normalise("a", picture) is picture
 
 
 def test_gains_and_light_multiply_frame_by_frame(picture: np.ndarray, tmp_path: Path) -> None:
@@ -36,19 +36,19 @@ def test_gains_and_light_multiply_frame_by_frame(picture: np.ndarray, tmp_path: 
     write_factors(tmp_path / "course.json", {"a": np.repeat(light[:, None], 3, axis=1)})
     both = read_factors([tmp_path / "gains.json", tmp_path / "course.json"], 3)
     filmed = [np.rint(picture * 0.9 * level * np.array([1.1, 1.0, 0.9])).astype(np.uint8) for level in light]
-    for even in both.even_all("a", filmed):
+    for even in both.normalise_film("a", filmed):
         assert np.abs(even.astype(float) - picture * 0.9).max() <= 1.5
-    assert both.even_out("b", np.full((1, 1, 3), 60, np.uint8), 2).tolist() == [[[120, 120, 120]]]
+    assert both.normalise("b", np.full((1, 1, 3), 60, np.uint8), 2).tolist() == [[[120, 120, 120]]]
 
 
 def test_bright_pixels_clip_instead_of_wrapping_round() -> None:
     bright = np.full((2, 2, 3), 250, np.uint8)
-    assert Factors({"a": np.full((1, 3), 0.8)}).even_out("a", bright).min() == 255
+    assert Factors({"a": np.full((1, 3), 0.8)}).normalise("a", bright).min() == 255
 
 
 def test_an_empty_file_divides_nothing(picture: np.ndarray, tmp_path: Path) -> None:
     write_factors(tmp_path / "gains.json", {})
-    assert read_factors([tmp_path / "gains.json"]).even_out("a", picture) is picture
+    assert read_factors([tmp_path / "gains.json"]).normalise("a", picture) is picture
 
 
 @pytest.mark.parametrize("broken", [[[0.0, 1.0, 1.0]], [[-1.0, 1, 1]], []])

@@ -135,8 +135,8 @@ class TestStep:
         told = {"people": "on", "view_synthesis": "on", "closed_path": "on", "exposure": "off"}
         assert {effect: found[effect].verdict for effect in told} == told
         assert "report/audit.json" in found["injection"].reason
-        assert found["view_synthesis"].obeyed_by
-        assert not found["defocus"].obeyed_by
+        assert found["view_synthesis"].used_by
+        assert not found["defocus"].used_by
 
     def test_every_effect_that_acts_can_be_forced_both_ways(self, files: dict, settings: step.Settings) -> None:
         for verdict in ("on", "off"):

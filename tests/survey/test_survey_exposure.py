@@ -45,7 +45,7 @@ def test_planted_gains_are_measured_and_written(gained: dict, settings: step.Set
     step.run(settings, **gained)
     decision = read_decisions(gained["decisions"])["exposure"]
     assert (decision.verdict, decision.detail["alone"]) == ("on", [])
-    assert "humans.train" in decision.obeyed_by
+    assert "humans.train" in decision.used_by
     found = np.concatenate([written(artefact(gained, "gains"))[f"c{k}"] for k in range(3)])
     np.testing.assert_allclose(found, GAINS / np.exp(np.log(GAINS).mean(axis=0)), atol=0.005)
 

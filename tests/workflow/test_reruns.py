@@ -132,7 +132,7 @@ def test_a_changed_line_of_one_step_runs_that_step_and_what_follows(finished: Ho
 def test_a_changed_setting_counts_where_kernels_are_compiled_anew_as_well(finished: House) -> None:
     kernels = finished.folder / "workflow/studiorecon/depth/kernels.py"
     text = kernels.read_text()
-    kernels.write_text(text.replace("the kernels of depth are compiled", "kernels are compiled"))
+    kernels.write_text(text.replace("the depth kernels are compiled", "kernels are compiled"))
     assert kernels.read_text() != text
     plan = finished.plan("--configfile", finished.overlay(depth={"primitives": 3}))
     kernels.write_text(text)

@@ -71,11 +71,11 @@ if PLAN.networks.refiner:
         benchmark:
             "timings/{scene}/background/half.tsv"
         container:
-            image(PLAN.networks.drawn_by)
+            image(PLAN.networks.rasteriser_image)
         threads: 2
         resources:
             mem_mb=memory(room_mb(PLAN, config)),
-            gpu=PLAN.networks.drawing_gpus,
+            gpu=PLAN.networks.rasteriser_gpus,
         params:
             settings=settings("background.half"),
             code=code("background.half"),
@@ -133,11 +133,11 @@ rule background_train:
         "timings/{scene}/background/train.tsv"
     priority: 5
     container:
-        image(PLAN.networks.drawn_by)
+        image(PLAN.networks.rasteriser_image)
     threads: threads_beside(2)  # people are trained meanwhile
     resources:
         mem_mb=memory(room_mb(PLAN, config)),
-        gpu=PLAN.networks.drawing_gpus,
+        gpu=PLAN.networks.rasteriser_gpus,
     params:
         settings=settings("background.train"),
         code=code("background.train"),

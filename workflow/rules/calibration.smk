@@ -63,7 +63,9 @@ else:
             read="results/{scene}/calibration/read.json",
             sources=files.all_footage,
             sightings=collect(
-                "results/{scene}/detect/keypoints/{camera}.npz", camera=PLAN.person_sources.timed, allow_missing=True
+                "results/{scene}/detect/keypoints/{camera}.npz",
+                camera=PLAN.person_sources.clock_cameras,
+                allow_missing=True,
             ),
         output:
             calibration="results/{scene}/calibration/calibration.json",
@@ -82,7 +84,7 @@ else:
             cameras=PLAN.cameras,
             pixel_maps=json.dumps(dict(PLAN.dataset.pixel_maps)),
             picture_fps=config["capture"]["picture_fps"],
-            recorded=PLAN.person_sources.recorded if config["detect"]["keypoint_pixels"] == "auto" else [],
+            recorded=PLAN.person_sources.file_cameras if config["detect"]["keypoint_pixels"] == "auto" else [],
         shell:
             command("calibration.choose")
 
@@ -94,7 +96,7 @@ if PLAN.networks.cameras:
             sources=files.all_footage,
             sightings=collect(
                 "results/{scene}/detect/keypoints/{camera}.npz",
-                camera=PLAN.training if set(PLAN.training) <= set(PLAN.person_sources.watched) else [],
+                camera=PLAN.training if set(PLAN.training) <= set(PLAN.person_sources.cameras) else [],
                 allow_missing=True,
             ),
             clocks="results/{scene}/clocks/clocks.json",
@@ -129,10 +131,14 @@ rule calibration_doctor:
         calibration="results/{scene}/calibration/calibration.json",
         sources=files.all_footage,
         sightings=collect(
-            "results/{scene}/detect/keypoints/{camera}.npz", camera=PLAN.person_sources.checked, allow_missing=True
+            "results/{scene}/detect/keypoints/{camera}.npz",
+            camera=PLAN.person_sources.doctor_cameras,
+            allow_missing=True,
         ),
         sizes=collect(
-            "results/{scene}/detect/keypoints/{camera}.json", camera=PLAN.person_sources.checked, allow_missing=True
+            "results/{scene}/detect/keypoints/{camera}.json",
+            camera=PLAN.person_sources.doctor_cameras,
+            allow_missing=True,
         ),
         clocks="results/{scene}/clocks/clocks.json",
         sync="results/{scene}/clocks/sync.json",

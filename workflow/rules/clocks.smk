@@ -5,7 +5,9 @@ rule clocks_offsets:
     input:
         sources=files.all_footage,
         sightings=collect(
-            "results/{scene}/detect/keypoints/{camera}.npz", camera=PLAN.person_sources.timed, allow_missing=True
+            "results/{scene}/detect/keypoints/{camera}.npz",
+            camera=PLAN.person_sources.clock_cameras,
+            allow_missing=True,
         ),
         # The user's own files alone: cameras found from people hang on clocks.
         calibration=branch(PLAN.calibrated, then="results/{scene}/calibration/calibration.json"),

@@ -206,7 +206,7 @@ rule depth_given:
     benchmark:
         "timings/{scene}/depth/given/{camera}.tsv"
     wildcard_constraints:
-        camera=one_of_pattern(PLAN.dataset.depth),
+        camera=camera_pattern(PLAN.dataset.depth),
     container:
         image("core")
     threads: 1

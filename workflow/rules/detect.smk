@@ -23,12 +23,12 @@ if PLAN.dataset.chapters:
             command("detect.chapters")
 
 
-if PLAN.person_sources.measured or not PLAN.person_sources.bodies:
+if PLAN.person_sources.scale_cameras or not PLAN.person_sources.body_network:
 
     rule detect_people:
         input:
             source=files.footage,
-            clocks=branch(PLAN.person_sources.part_used, then="results/{scene}/clocks/clocks.json"),
+            clocks=branch(PLAN.person_sources.uses_part, then="results/{scene}/clocks/clocks.json"),
             networks=files.detector,
             second=files.second_network,
         output:

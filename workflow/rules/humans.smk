@@ -28,11 +28,11 @@ rule humans_train:
     benchmark:
         "timings/{scene}/humans/train/{person}.tsv"
     container:
-        image(PLAN.networks.drawn_by)
+        image(PLAN.networks.rasteriser_image)
     threads: 1
     resources:
         mem_mb=memory(3000),
-        gpu=PLAN.networks.drawing_gpus,
+        gpu=PLAN.networks.rasteriser_gpus,
     params:
         settings=settings("humans.train"),
         code=code("humans.train"),

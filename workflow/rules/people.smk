@@ -37,7 +37,7 @@ checkpoint people_associate:
         command("people.associate")
 
 
-if PLAN.lifted:
+if PLAN.lifts_pelvises:
 
     # Where people stand by the depth of the scene, the paper's way.
     rule people_lift:
@@ -93,7 +93,7 @@ if files.corrected_identities:
             "timings/{scene}/people/by_itself/associate.tsv"
 
 
-if PLAN.person_sources.detected:
+if PLAN.person_sources.detector_cameras:
 
     # Who is who before the second look, which nobody's corrections are about.
     use rule people_associate as people_first_associate with:
@@ -138,7 +138,7 @@ if PLAN.person_sources.detected:
         benchmark:
             "timings/{scene}/people/second_look/{camera}.tsv"
         wildcard_constraints:
-            camera=one_of_pattern(PLAN.person_sources.detected),
+            camera=camera_pattern(PLAN.person_sources.detector_cameras),
         # As for who is who.
         priority: 6
         container:

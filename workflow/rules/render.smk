@@ -54,11 +54,11 @@ rule render_shot:
     # Before what shows the scene otherwise, and is read later.
     priority: 10
     container:
-        image(PLAN.networks.drawn_by)
+        image(PLAN.networks.rasteriser_image)
     threads: threads_beside(len(PLAN.shots))
     resources:
         mem_mb=memory(2000),
-        gpu=PLAN.networks.drawing_gpus,
+        gpu=PLAN.networks.rasteriser_gpus,
     params:
         settings=shot_settings("render.shot"),
         code=code("render.shot"),
@@ -83,11 +83,11 @@ rule render_layers:
     benchmark:
         "timings/{scene}/render/layers/{shot}.tsv"
     container:
-        image(PLAN.networks.drawn_by)
+        image(PLAN.networks.rasteriser_image)
     threads: 2
     resources:
         mem_mb=memory(2000),
-        gpu=PLAN.networks.drawing_gpus,
+        gpu=PLAN.networks.rasteriser_gpus,
     params:
         settings=shot_settings("render.layers", "replace"),
         code=code("render.layers"),

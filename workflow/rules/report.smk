@@ -89,11 +89,11 @@ rule report_evaluate:
         "timings/{scene}/report/evaluate.tsv"
     priority: 20
     container:
-        image(PLAN.networks.drawn_by)
+        image(PLAN.networks.rasteriser_image)
     threads: 1  # of two, all but LPIPS would leave one idle
     resources:
         mem_mb=memory(1500),
-        gpu=PLAN.networks.drawing_gpus if PLAN.networks.lpips("report") != "none" else 0,
+        gpu=PLAN.networks.rasteriser_gpus if PLAN.networks.lpips("report") != "none" else 0,
     params:
         settings=settings("report.evaluate"),
         code=code("report.evaluate"),

@@ -1,7 +1,7 @@
 # Tracks: keypoints of every camera in undistorted working pixels, followed through time: what each camera says by itself.
 
 
-if PLAN.person_sources.bodies:
+if PLAN.person_sources.body_network:
 
     rule tracks_bodies:
         input:
@@ -16,11 +16,11 @@ if PLAN.person_sources.bodies:
         benchmark:
             "timings/{scene}/tracks/bodies/{camera}.tsv"
         container:
-            model_image(PLAN.person_sources.bodies)
+            model_image(PLAN.person_sources.body_network)
         threads: 2
         resources:
             mem_mb=memory(8000),
-            gpu=gpus(PLAN.person_sources.bodies),
+            gpu=gpus(PLAN.person_sources.body_network),
         params:
             settings=settings("tracks.bodies"),
             code=code("tracks.bodies"),

@@ -46,7 +46,7 @@ def require(
     return sizes
 
 
-def evenly_spread(count: int, wanted: int, *, below: bool = False) -> Integer[np.ndarray, " N"]:
+def spread_indices(count: int, wanted: int, *, below: bool = False) -> Integer[np.ndarray, " N"]:
     """At most ``wanted`` indices of ``count`` items, ascending, evenly spread from the first to the last.
 
     Each is the index nearest to its exact position, with ``below`` the one before it.

@@ -59,13 +59,13 @@ def module_path(module: str) -> Path | None:
     return _modules().get(module)
 
 
-def imported_by(path: Path) -> list[str]:
+def imports_of_file(path: Path) -> list[str]:
     """Names (relative to the package, sorted) of our own modules that a source file imports, anywhere in it."""
     there = _modules()
     return [name for name in _read(path)[1] if name in there]
 
 
-def imported_at(statements: list[ast.stmt]) -> set[str]:
+def imports_of_statements(statements: list[ast.stmt]) -> set[str]:
     """The same for statements, whether such modules exist or not."""
     found: set[str] = set()
     for statement in _statements(statements):
@@ -106,18 +106,18 @@ def _find_module(package: Path) -> tuple[dict[str, int], dict[str, Path]]:
 def _read(path: Path) -> tuple[str, list[str]]:
     """Digest of a source file's syntax tree without docstrings, and its imports from ``studiorecon``."""
     described = os.stat(path)
-    return _parsed(path, described.st_mtime_ns, described.st_size)
+    return _read_cached(path, described.st_mtime_ns, described.st_size)
 
 
 # A file is needed once per step that reaches it: thirty times before a run.
 @lru_cache(_REMEMBERED)
-def _parsed(path: Path, changed_ns: int, size: int) -> tuple[str, list[str]]:
+def _read_cached(path: Path, changed_ns: int, size: int) -> tuple[str, list[str]]:
     """The same, cached by the file's time of change and size."""
     source = path.read_bytes()
-    known, mark = _known(_memory()), hashlib.sha256(source).hexdigest()
+    known, mark = _digests(_memory()), hashlib.sha256(source).hexdigest()
     if mark not in known:
         tree = ast.parse(source)
-        names = sorted(imported_at(tree.body))
+        names = sorted(imports_of_statements(tree.body))
         known[mark] = hashlib.sha256(ast.dump(_without_docstrings(tree)).encode()).hexdigest(), names
     return known[mark]
 
@@ -127,15 +127,15 @@ def _memory() -> Path:
     return PACKAGE / "__pycache__" / f"digests.{sys.implementation.cache_tag}.json"
 
 
-class _Known(dict):
+class _Digests(dict):
     """Digest and imports by the hash of a source's bytes; ``stored`` is the number in the file."""
 
     stored = 0
 
 
 @cache
-def _known(memory: Path) -> _Known:
-    known = _Known()
+def _digests(memory: Path) -> _Digests:
+    known = _Digests()
     # Parsing every source takes seconds, which Snakemake would spend at every start. Without a readable file they are
     # parsed.
     with suppress(OSError, ValueError):
@@ -148,7 +148,7 @@ def _known(memory: Path) -> _Known:
 def save_digests() -> None:
     """Store the cache for the next process."""
     memory = _memory()
-    known = _known(memory)
+    known = _digests(memory)
     if len(known) == known.stored:
         return
     # As with Python's byte code, a read-only place means no cache.

@@ -55,5 +55,5 @@ def run(
     pictures = [np.clip(drawing.forward(room, camera).rgb, 0, 1) for camera in progress(around, "views of the room")]
     write_room(half, provenance, room, marks)
     write_renders(renders, renders_path, around, pictures)
-    say(f"{room.count} Gaussians half-way, rendered from {len(around)} places")
+    say(f"{room.count} Gaussians after half the training, rendered from {len(around)} places")
     checkpoint.remove()

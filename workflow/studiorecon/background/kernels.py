@@ -31,7 +31,7 @@ def run(threads: int, kernels: Written) -> None:
     """Train a handful of Gaussians for two steps, as a room and as a person; write ``kernels`` when done."""
     _as_a_room(threads)
     _as_a_person(threads)
-    say("the kernels of training are compiled")
+    say("the training kernels are compiled")
     kernels.write_text("compiled\n", encoding="utf-8")
 
 

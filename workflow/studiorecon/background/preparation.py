@@ -144,7 +144,7 @@ def limit_harmonics(settings: Settings, start: Gaussians, cameras: Sequence[Came
         if varied
         else "the survey finds no colour that changes with the view"
     )
-    say(f"harmonics of degree {degree} instead of {settings.training.sh_degree}: {why} (limit_sh_to_views)")
+    say(f"spherical harmonics have degree {degree} instead of {settings.training.sh_degree}: {why} (limit_sh_to_views)")
     return replace(settings, training=replace(settings.training, sh_degree=degree))
 
 
@@ -193,7 +193,7 @@ def mask_people(
         require_one_each([p.camera for p in photos], masks=list(masks))
     seen = []
     for view, (photo, video) in enumerate(zip(photos, videos)):
-        picture = to_float(gains.even_out(photo.camera.name, read_frame(video, 0)))
+        picture = to_float(gains.normalise(photo.camera.name, read_frame(video, 0)))
         people = read_frame(masks[view], 0) > 0 if masks else np.zeros(photo.camera.hw, bool)
         for path, hw in ((video, picture.shape[:2]), (masks[view] if masks else video, people.shape)):
             if hw != photo.camera.hw:
@@ -208,8 +208,8 @@ def mask_people(
                 "set background.room_targets to plates"
             )
         say(
-            f"{photo.camera.name}: {np.mean(~known):.1%} of the first picture is people and {dilation_px} px around "
-            "them"
+            f"{photo.camera.name}: people and {dilation_px} px around them cover {np.mean(~known):.1%} of the first "
+            "picture"
         )
         seen.append(replace(photo, rgb=picture, known=known))
     return seen
@@ -225,7 +225,7 @@ def read_photos(cameras: Sequence[Camera], plates: list[Path], depths: list[Path
             raise UserError(
                 f"{plate_path} has no measured pixel; give a clean plate of camera {camera.name} in plates/"
             )
-        photos.append(Photo(camera, gains.even_out(camera.name, rgb), known, depth_m, confidence))
+        photos.append(Photo(camera, gains.normalise(camera.name, rgb), known, depth_m, confidence))
     return photos
 
 
@@ -270,18 +270,20 @@ def prepare_training(
         start, marks = initial_gaussians(photos, painted, settings)
         shares = [int((marks == kind).sum()) for kind in (MEASURED, INFERRED, INVENTED)]
         say(
-            f"{start.count} Gaussians to start from: {shares[0]} measured, {shares[1]} on default walls, {shares[2]} "
-            "where no camera sees"
+            f"training starts from {start.count} Gaussians: {shares[0]} measured, {shares[1]} on default walls, "
+            f"{shares[2]} where no camera sees"
         )
     else:
         start = random_volume(
             list(cameras), settings.random_count, settings.random_size_m, settings.training.sh_degree, rng
         )
         marks = np.full(start.count, MEASURED, np.uint8)
-        say(f"{start.count} Gaussians to start from, at random: the baseline without depth")
+        say(f"training starts from {start.count} random Gaussians: the baseline without depth")
     settings = limit_harmonics(settings, start, cameras, varied)
     real = plate_targets(photos, settings.photo_weight)
     synthesized = read_views(sources.path, sources.views, sources.supports, cameras, painted, settings)
     drawn = settings.views_share if synthesized else 0.0
-    say(f"{len(real)} plates and {len(synthesized)} synthesized views, the latter in {drawn:.0%} of the steps")
+    say(
+        f"training uses {len(real)} plates and {len(synthesized)} synthesized views, the latter in {drawn:.0%} of steps"
+    )
     return PreparedTraining(settings, photos, start, marks, real, synthesized)

@@ -51,7 +51,7 @@ def run(
     cameras = read_model(model.parent)
     require_one_each(cameras, plates=plates)
     factors = read_factors(gains)
-    photos = [to_bytes(factors.even_out(c.name, read_plate(plate, c.wh)[0])) for c, plate in zip(cameras, plates)]
+    photos = [to_bytes(factors.normalise(c.name, read_plate(plate, c.wh)[0])) for c, plate in zip(cameras, plates)]
     network = load("picture enhancer", enhancer, weights, device, seed=_SEED)
 
     def reference(step: PathStep) -> np.ndarray:

@@ -162,7 +162,7 @@ class BodyModel:
         Raises as ``joints`` does, and KeyError for a name that the body lacks.
         """
         poses, trans_m = _frames(poses, trans_m)
-        share, anchors = self.keypoint_basis(names)
+        share, anchors = self.keypoint_anchors(names)
         shape, size = _betas(betas, self.shapes)
         anchors = anchors @ np.append(size, shape)
         rest = self.rest_joints(betas)
@@ -170,7 +170,7 @@ class BodyModel:
         offsets = anchors - share[..., None] * rest
         return np.einsum("tjxy,kjy->tkx", world, offsets) + np.einsum("kj,tjx->tkx", share, joints) + trans_m[:, None]
 
-    def keypoint_basis(self, names: Sequence[str]) -> tuple[Num[np.ndarray, "K 24"], Num[np.ndarray, "K 24 3 1+B"]]:
+    def keypoint_anchors(self, names: Sequence[str]) -> tuple[Num[np.ndarray, "K 24"], Num[np.ndarray, "K 24 3 1+B"]]:
         """Shares and anchors that give K keypoints without the mesh. Raises KeyError for a name that the body lacks.
 
         A linear surface point under skinning is Σ_j G_j (anchor_kj(β) − share_kj J_j(β)) + share_kj J_j^posed, G_j the
@@ -189,10 +189,10 @@ class BodyModel:
             anchors[k] = np.einsum("vj,vxb->jxb", carried, surface) + joints[k][:, None, None] * skeleton
         return share, anchors
 
-    def vertex_basis(
+    def vertex_anchors(
         self, vertices: Integer[np.ndarray, " V"]
     ) -> tuple[Num[np.ndarray, "V 24"], Num[np.ndarray, "V 24 3 1+B"]]:
-        """Shares and anchors of surface points; without pose correctives, see ``keypoint_basis``."""
+        """Shares and anchors of surface points; without pose correctives, see ``keypoint_anchors``."""
         share = self.weights[vertices].astype(np.float64)
         share /= share.sum(1, keepdims=True)
         surface = np.concatenate([self.template_m[vertices, :, None], self.shape_directions[vertices]], axis=-1)

@@ -30,7 +30,7 @@ from studiorecon.geometry.crop_hypotheses import (
     area_inside_bars,
     for_square_pixels,
 )
-from studiorecon.geometry.lens import same_shape, unseen_share
+from studiorecon.geometry.lens import rayless_share, same_shape
 from studiorecon.keypoints.motion import Motion, film_motion
 from studiorecon.progress import say
 from studiorecon.scene import step_files
@@ -171,10 +171,10 @@ def run(
     )
     doubts = []
     for lens, wh in zip(choice.lenses, sizes, strict=True):
-        if share := unseen_share(lens, wh):
+        if share := rayless_share(lens, wh):
             doubts.append(
-                f"camera {lens.name}: the lens model has no ray for {share:.1%} of its picture, whose corners are not "
-                "used: its numbers turn over there"
+                f"camera {lens.name}: the lens distortion cannot be inverted in {share:.1%} of its picture (at the "
+                "corners), which is not used"
             )
     say(f"{len(choice.lenses)} cameras from {content['source']} ({reading.format})")
     for note in [*choice.notes, *doubts]:

@@ -40,7 +40,7 @@ from studiorecon.signature import Written
 if TYPE_CHECKING:
     from jaxtyping import Float
 
-# Beyond so many times the accepted sigmas, bodies are not where the people were.
+# Beyond so many times the accepted sigmas, bodies would be far from the people.
 _HOPELESS = 6.0
 _NO_LENGTHS = GivenLengths()
 _MIN_CAMERAS = 2
@@ -56,17 +56,17 @@ class PeopleRigSettings:
 
     Attributes:
         frames: number of frames in use, spread over the clip.
-        focal_sigma, focal_told_sigma, focal_unknown_sigma: sigma of a focal length, as a share: of a given one, of one
+        focal_sigma, focal_file_sigma, focal_unknown_sigma: sigma of a focal length, as a share: of a given one, of one
             in the file's metadata, and of an unknown one, which starts at a guess.
         max_focal_sigma: share up to which a focal length counts as determined by the people.
         max_sigma_deg, max_sigma_m: sigmas of rotation and position beyond which the cameras are marked as uncertain.
-        rival_share: another arrangement of the cameras with this share of the support is reported, and the uncertainty
+        rival_share: another solution for the cameras with this share of the support is reported, and the uncertainty
             covers it.
     """
 
     frames: int = 60
     focal_sigma: float = 0.005
-    focal_told_sigma: float = 0.07
+    focal_file_sigma: float = 0.07
     focal_unknown_sigma: float = 0.3
     max_focal_sigma: float = 0.05
     max_sigma_deg: float = 1.0
@@ -88,7 +88,7 @@ def pose_cameras(
     frames: int,
     template_m: Float[np.ndarray, "12 3"],
     settings: Settings,
-    told_px: Mapping[str, float] | None = None,
+    metadata_px: Mapping[str, float] | None = None,
     given: GivenLengths = _NO_LENGTHS,
     stature: float = 1.7,
     edges: Mapping[str, Float[np.ndarray, "N 4"]] | None = None,
@@ -97,24 +97,24 @@ def pose_cameras(
 ) -> tuple[list[Camera], dict[str, Any]]:
     """Cameras in metres, z up, floor at 0, and a report; raises UserError when people show too little.
 
-    ``focal_px``: given focal lengths by camera name, ``told_px`` those in the files' metadata; the others are estimated
-    along with the poses. ``given``: measured lengths; ``stature``: height of the mean body, metres; ``edges``: (N, 4)
-    ends of the room's straight edges, pixels, and ``rooms``, pictures of its floor. Cameras that are not ``straight``
-    distort: k1 of each is estimated too, and is in the report.
+    ``focal_px``: given focal lengths by camera name; ``metadata_px``: those in the files' metadata. Others are
+    estimated with the poses. ``given``: measured lengths; ``stature``: height of the mean body, metres. ``edges``:
+    (N, 4) ends of the room's straight edges, pixels; ``rooms``: pictures of its floor. Cameras that are not
+    ``straight`` distort: k1 of each is estimated too, and is in the report.
     """
-    known = {**(told_px or {}), **focal_px}
+    known = {**(metadata_px or {}), **focal_px}
     about = settings.people_rig
     found = find_pose_consensus(
         detections, wh, known, frames, about.frames, template_m, settings.gate_m, settings.limits, about.rival_share
     )
     start = None if found is None else [found.rig.cameras[v] for v in sorted(found.rig.cameras)]
     names = [c.name for c in start or []]
-    sigma = {n: about.focal_sigma if n in focal_px else about.focal_told_sigma for n in known}
+    sigma = {n: about.focal_sigma if n in focal_px else about.focal_file_sigma for n in known}
     knowledge = lens_knowledge(
         start or [], {n: (known[n], sigma[n]) for n in known}, straight, about.focal_unknown_sigma
     )
     allowed = template_m, settings.gate_m, settings.limits
-    estimate = found and start and estimate_rig(start, np.zeros(len(start)), found.seen, knowledge, *allowed)
+    estimate = found and start and estimate_rig(start, np.zeros(len(start)), found.sightings, knowledge, *allowed)
     if not found or not estimate:
         raise UserError(
             "the cameras are undetermined: no two cameras see enough of one person at once to "
@@ -139,15 +139,15 @@ def pose_cameras(
     median = float(np.median(error[np.isfinite(error)]))
     if median > settings.limit_px(estimate.cameras, rig.points.points_m[rig.agreeing]):
         raise UserError(
-            f"the cameras are undetermined: the best arrangement leaves people {median:.0f} px "
-            "off; check that the videos are synchronised and that no camera moves"
+            f"the cameras are undetermined: the best solution has a median reprojection error of "
+            f"{median:.0f} px; check that the videos are synchronised and that no camera moves"
         )
     marks = estimate.room.marks
     report = {
         "source": "people",
         "median_px": median,
         "support": rig.support,
-        "frames": len(found.seen.frames),
+        "frames": len(found.sightings.frames),
         "left_out": dict(found.left_out),
         "sigma_deg": dict(zip(names, turn.tolist())),
         "sigma_m": dict(zip(names, place.tolist())),
@@ -205,7 +205,7 @@ def mean_body(body: BodyModel) -> Float[np.ndarray, "12 3"]:
 
 
 def _of_two(found: PoseConsensus, degrees: np.ndarray) -> str:
-    """A sentence about two arrangements that fit about equally well and differ by ``degrees`` (V,)."""
+    """A sentence about two solutions that fit about equally well and differ by ``degrees`` (V,)."""
     assert found.rival is not None
     return (
         f"two solutions for the cameras fit the people about equally well ({found.rig.support} and "
@@ -243,9 +243,9 @@ def run(
     """Estimate the cameras of ``sightings`` (npz, pixels of the videos whose ``sizes`` are JSON); write JSON.
 
     ``focal_px``: JSON, camera → focal length in pixels of the video, for as many cameras as the user knows; the
-    metadata of the footage ``sources`` of ``cameras`` may hold others. ``lengths``: JSON, ``GivenLengths``. Cameras
-    that people do not place are missing in ``calibration``, with a message; at least two of ``training`` must be there.
-    ``lenses``: files with lenses alone.
+    metadata of the footage ``sources`` of ``cameras`` may hold others. ``lengths``: JSON, ``GivenLengths``.
+    ``lenses``: files with lenses alone. Cameras whose poses people do not determine are missing in ``calibration``,
+    with a message; raises UserError with fewer than two of ``training``.
     """
     common = read_clocks(clocks)
     if common.refusal:
@@ -265,7 +265,7 @@ def run(
     given_px = {c: ideal_pinhole(lens, size_of[c]).focal_px[0] for c, lens in known.items()} | json.loads(
         focal_px or "{}"
     )
-    told_px = _focal_px_from_files(cameras, sources, size_of)
+    metadata_px = _focal_px_from_files(cameras, sources, size_of)
     measured = GivenLengths(**json.loads(lengths or "{}"))
     rooms = {
         c: without_distortion(room, known[c], ideal_pinhole(known[c], size_of[c])) if c in known else room
@@ -278,7 +278,7 @@ def run(
         common.frames,
         mean_body(fitted),
         settings,
-        told_px,
+        metadata_px,
         measured,
         stature_m(fitted),
         {c: room.edges_px for c, room in rooms.items()},
@@ -287,7 +287,7 @@ def run(
     )
     if sum(c.name in training for c in found) < _MIN_CAMERAS:
         raise UserError(
-            "people place fewer than two cameras that the scene could be made from: "
+            "people determine the poses of fewer than two training cameras: "
             + "; ".join(f"camera {n}: {why}" for n, why in report["left_out"].items())
             + "; check that the videos are synchronised, or bring a calibration"
         )
@@ -303,7 +303,7 @@ def run(
         else lens_with_pixel_map(radial_lens(c, report["radial_k1"][c.name]), maps[c.name])
         for c in found
     ]
-    content = {"source": "people", "format": "found from people", "lenses": [lens.as_json() for lens in placed]}
+    content = {"source": "people", "format": "estimated from people", "lenses": [lens.as_json() for lens in placed]}
     write_json(calibration, {**content, "floor_known": True, "notes": notes, "doubts": doubts, "people_rig": report})
 
 

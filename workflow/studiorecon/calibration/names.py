@@ -49,9 +49,9 @@ def pairings(footage: Sequence[str], calibrated: Sequence[str], source: str) -> 
     if set(footage) <= set(calibrated):
         return [Pairing({film: film for film in footage}, "")]
     weight = _weights(footage, calibrated)
-    found = [Pairing(pairs, "by what their names share") for pairs in _best(footage, calibrated, weight)]
+    found = [Pairing(pairs, "by what their names share") for pairs in _best_pairings(footage, calibrated, weight)]
     if not found or weight.max(1).min() < _PART:
-        found += _shifted(footage, calibrated)
+        found += _shifted_pairings(footage, calibrated)
     if not any(p.sure for p in found) and math.perm(len(calibrated), len(footage)) <= _MAX_TRIED:
         found += [
             Pairing(dict(zip(footage, order)), "against their names", sure=False)
@@ -110,14 +110,14 @@ def _weights(footage: Sequence[str], calibrated: Sequence[str]) -> np.ndarray:
                 for word in shared
                 if counts[0][word] < len(footage) or counts[1][word] < len(calibrated) or min(weight.shape) == 1
             )
-            if any(_telling(a) and a.casefold() in _parts(b) for a, b in ((film, camera), (camera, film))):
+            if any(_is_identifying(a) and a.casefold() in _parts(b) for a, b in ((film, camera), (camera, film))):
                 weight[i, j] += _PART
             if film.casefold() == camera.casefold():
                 weight[i, j] += _SAME if film == camera else _SAME_BUT_FOR_CASE
     return weight
 
 
-def _best(footage: Sequence[str], calibrated: Sequence[str], weight: np.ndarray) -> list[dict[str, str]]:
+def _best_pairings(footage: Sequence[str], calibrated: Sequence[str], weight: np.ndarray) -> list[dict[str, str]]:
     """The complete pairings with the largest sum of weights: one, or all single exchanges with the same sum."""
     from scipy.optimize import linear_sum_assignment  # 0.1 s, which equal names avoid
 
@@ -140,7 +140,7 @@ def _best(footage: Sequence[str], calibrated: Sequence[str], weight: np.ndarray)
     return [{film: calibrated[c] for film, c in zip(footage, columns)} for columns in found]
 
 
-def _shifted(footage: Sequence[str], calibrated: Sequence[str]) -> list[Pairing]:
+def _shifted_pairings(footage: Sequence[str], calibrated: Sequence[str]) -> list[Pairing]:
     """Pairings of names that differ by their numbers alone, with another first number: 0 to 3 and 1 to 4."""
     ours, theirs = _numbers(footage), _numbers(calibrated)
     if ours is None or theirs is None or len(calibrated) < len(footage):
@@ -171,7 +171,7 @@ def _numbers(names: Sequence[str]) -> list[int] | None:
     return numbers if len(set(numbers)) == len(numbers) else None
 
 
-def _telling(name: str) -> bool:
+def _is_identifying(name: str) -> bool:
     """Whether a name identifies a camera: it has a letter, or as many digits as a serial number."""
     return not name.isdigit() or len(name) > 2
 

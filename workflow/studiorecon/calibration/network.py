@@ -104,7 +104,7 @@ def metres_per_unit(lengths: Float[np.ndarray, " L"], torso_m: float, metric: bo
     spread = float(np.percentile(usable, 75) / np.percentile(usable, 25))
     if spread > _WIDEST:
         raise UserError(
-            f"torsos that {title} measures differ {spread:.1f} times within the scene: "
+            f"lengths of torsos by {title} differ by a factor of {spread:.1f} within the scene, so "
             "its depth is wrong; bring a calibration"
         )
     factor = torso_m / float(np.median(usable))

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, TypeVar
 
 import numpy as np
 
-from studiorecon.arrays import evenly_spread
+from studiorecon.arrays import spread_indices
 from studiorecon.geometry.triangulation import Limits, triangulate
 from studiorecon.keypoints.detections import to_pinhole
 from studiorecon.rig.correspondences import Observations, make_observations
@@ -36,7 +36,7 @@ def agreement(
 ) -> Float[np.ndarray, " F"]:
     """Log-likelihood ratio of people's joints in each of 24 frames, lenses against chance, summed; 0 where no rays
     meet."""
-    frames, cameras, found = _observed(lenses, sizes, people)
+    frames, cameras, found = _sample_observations(lenses, sizes, people)
     total = np.zeros(len(frames))
     if found is None:
         return total
@@ -53,19 +53,19 @@ def agreement(
 
 def is_in_metres(lenses: Sequence[Lens], sizes: Sequence[tuple[int, int]], people: Sequence[Detections]) -> bool | None:
     """Whether people have an adult's stature in the lenses' world; None where too few of their bones are seen."""
-    _, cameras, found = _observed(lenses, sizes, people)
+    _, cameras, found = _sample_observations(lenses, sizes, people)
     statures = statures_m(cameras, found, _LIMITS) if found is not None else np.zeros(0)
     if len(statures) < MIN_BONES:
         return None
     return bool(ADULTS_M[0] <= np.median(statures) <= ADULTS_M[1])
 
 
-def _observed(
+def _sample_observations(
     lenses: Sequence[Lens], sizes: Sequence[tuple[int, int]], people: Sequence[Detections]
 ) -> tuple[Integer[np.ndarray, " F"], list[Camera], Observations | None]:
     """Some frames, the lenses' pinholes, and what these see of people in those frames; None for nobody."""
     last = max((int(d.frame.max()) for d in people if len(d.frame)), default=-1)
-    frames = evenly_spread(last + 1, FRAMES) if last >= 0 else np.zeros(0, int)
+    frames = spread_indices(last + 1, FRAMES) if last >= 0 else np.zeros(0, int)
     both = [to_pinhole(d, lens, wh) for d, lens, wh in zip(people, lenses, sizes, strict=True)]
     cameras, seen = [c for c, _ in both], [d for _, d in both]
     if not any(len(d.frame) for d in seen):

@@ -15,7 +15,7 @@ from studiorecon.progress import say
 from studiorecon.rig.estimate import RigEstimate, RoomEvidence, add_room_evidence
 from studiorecon.rig.floor_marks import floor_marks
 from studiorecon.rig.gravity import world_from_people
-from studiorecon.rig.lens_knowledge import LensKnowledge, distort_marks, straight_points
+from studiorecon.rig.lens_knowledge import LensKnowledge, distort_marks, undistort_points
 from studiorecon.rig.room_picture import RoomPicture
 from studiorecon.rig.room_turns import room_turns
 from studiorecon.scene.camera import Camera, Lens
@@ -57,7 +57,7 @@ def with_edges(
     for factor in np.exp(spread * np.array([0.0, -1.0, 1.0])):
         cameras = [replace(c, intrinsics=c.intrinsics * _focal_scaling(factor)) for c in found.cameras]
         ends = {
-            v: straight_points(e.reshape(-1, 2), cameras[v], found.radial[v]).reshape(-1, 4) for v, e in own.items()
+            v: undistort_points(e.reshape(-1, 2), cameras[v], found.radial[v]).reshape(-1, 4) for v, e in own.items()
         }
         tried.append(room_turns(dict(enumerate(cameras)), {v: e[np.isfinite(e).all(1)] for v, e in ends.items()}))
     turns = max(tried, key=lambda found: sum(turn.along for turn in found.values()))
@@ -65,7 +65,7 @@ def with_edges(
         return found
     after, allowed = add_room_evidence(found, knowledge, template_m, RoomEvidence(turns, own))
     if not allowed:
-        say(f"the room's edges were left out: people contradict them ({_rise(found, after)})")
+        say(f"the room's edges are not used, because people contradict them ({_cost_increase(found, after)})")
     return after if allowed else found
 
 
@@ -91,11 +91,11 @@ def with_floor(
         marks = distort_marks(marks, best.cameras, best.radial)
         after, allowed = add_room_evidence(found, knowledge, template_m, replace(found.room, marks=marks))
         if not allowed:
-            say(f"the floor was left out: people contradict it ({_rise(found, after)})")
+            say(f"the floor is not used, because people contradict it ({_cost_increase(found, after)})")
             return found
         best = after
     return best
 
 
-def _rise(found: RigEstimate, after: RigEstimate) -> str:
-    return f"their squared error in standard deviations rises by {after.people_cost - found.people_cost:.0f}"
+def _cost_increase(found: RigEstimate, after: RigEstimate) -> str:
+    return f"the cost of their keypoints rises by {after.people_cost - found.people_cost:.0f}"

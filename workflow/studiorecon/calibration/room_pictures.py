@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 import cv2
 import numpy as np
 
-from studiorecon.arrays import evenly_spread
+from studiorecon.arrays import spread_indices
 from studiorecon.errors import UserError
 from studiorecon.footage.frames import seek_frames
 from studiorecon.footage.source import open_source
@@ -46,19 +46,19 @@ def read_room_pictures(
         try:
             source = open_source(path, _ANY_FPS)
             among = np.arange(source.frames) if moments is None else moments[camera]
-            wanted = among[evenly_spread(len(among), _PICTURES)].tolist()
+            wanted = among[spread_indices(len(among), _PICTURES)].tolist()
             seen = [cv2.cvtColor(picture, cv2.COLOR_RGB2GRAY) for picture in seek_frames(source, wanted)]
         except UserError as refusal:
             warn(f"the room's edges in camera {camera} are not used: {refusal}")
             continue
         if camera in size and seen and seen[0].shape[::-1] == tuple(size[camera]):
-            room = (_twice_the_median(seen) // 2).astype(np.uint8)
-            beside = _twice_the_median([cv2.absdiff(picture, room) for picture in seen])
-            found[camera] = RoomPicture(room, beside < 2 * _STILL_LEVELS)
+            room = (_double_median(seen) // 2).astype(np.uint8)
+            difference = _double_median([cv2.absdiff(picture, room) for picture in seen])
+            found[camera] = RoomPicture(room, difference < 2 * _STILL_LEVELS)
     return found
 
 
-def _twice_the_median(pictures: Sequence[np.ndarray]) -> np.ndarray:
+def _double_median(pictures: Sequence[np.ndarray]) -> np.ndarray:
     """(H, W) uint16 twice the median of a few (H, W) uint8 pictures at every pixel.
 
     Whole pictures are exchanged until they are in order, in a tenth of the time that numpy takes to sort each pixel's

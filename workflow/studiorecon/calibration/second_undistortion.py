@@ -44,9 +44,11 @@ def without_second_undistortion(
         return kept, []
     people_s, film_s = (straight, kept) if index == 1 else (kept, straight)
     moving = motions()
-    judges = [v for v, lens in enumerate(lenses) if lens.name in moving]
+    moving_views = [v for v, lens in enumerate(lenses) if lens.name in moving]
     same, apart = (
-        _together([_on_motion(people[v], people_s[v], of[v], sizes[v], moving[lenses[v].name]) for v in judges])
+        _merge_scores(
+            [_score_on_motion(people[v], people_s[v], of[v], sizes[v], moving[lenses[v].name]) for v in moving_views]
+        )
         for of in (people_s, film_s)
     )
     remedy = f"; if that is wrong, set calibration.lens to {', '.join(sorted({lens.model for lens in lenses}))}"
@@ -79,7 +81,7 @@ def _is_bent(lens: Lens, straight: Lens, wh: tuple[int, int], seen: Detections) 
     return bool(np.isfinite(moved).any() and np.nanmedian(moved) > NOISE_SHARE * max(wh))
 
 
-def _on_motion(seen: Detections, of_keypoints: Lens, of_film: Lens, wh: tuple[int, int], motion: Motion) -> Score:
+def _score_on_motion(seen: Detections, of_keypoints: Lens, of_film: Lens, wh: tuple[int, int], motion: Motion) -> Score:
     """How well keypoints under one lens fit the motion of a film under another one."""
     camera, pinhole = to_pinhole(seen, of_keypoints, wh)
     pixels = video_from_working(pinhole.keypoints[..., :2], of_film, wh, camera.intrinsics)
@@ -87,7 +89,7 @@ def _on_motion(seen: Detections, of_keypoints: Lens, of_film: Lens, wh: tuple[in
     return score_reading(moving_keypoints(shown, seen.frame), seen.frame, np.eye(2, 3), motion)
 
 
-def _together(scores: Sequence[Score]) -> Score:
+def _merge_scores(scores: Sequence[Score]) -> Score:
     """The scores of several films as one."""
     if not scores:
         return Score(0.0, 0.0, np.zeros(0), 0)

@@ -104,12 +104,12 @@ class Check:
         """Whether other lenses at nearly the given poses explain people about as well as other poses, which leave
         ``moved_px``: a zoom ring is easier to touch."""
         limits, bundle = self.settings.limits, self.settings.bundle
-        fit_on, judge_on = split_alternate_frames(self.seen)
+        fit_on, validation = split_alternate_frames(self.seen)
         trial = fit_cameras(self.given, fit_on, limits, bundle)
         if trial is None:
             return False
         about = limits, bundle, self.settings.lens_change
-        found = choose_lens_terms(trial.cameras, fit_on, judge_on, *about)
+        found = choose_lens_terms(trial.cameras, fit_on, validation, *about)
         errors = [found[f"unseen_with_{name}_px"] for name in ("focal", "radial") if found[name]]
         return bool(errors) and min(errors) <= _ABOUT_AS_WELL * moved_px
 

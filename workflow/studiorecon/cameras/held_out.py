@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from studiorecon.arrays import evenly_spread
+from studiorecon.arrays import spread_indices
 from studiorecon.camera_files.colmap import read_model, write_model
 from studiorecon.cameras import refine
 from studiorecon.detector.blazepose import LAYOUT, BlazePose
@@ -126,7 +126,7 @@ def redetect(
 
 def pose_sentence(camera: str, found: HeldOutPose, places: int) -> str:
     """One sentence about a held-out camera."""
-    if not found.checked:
+    if not found.is_verified:
         why = (
             "no person is expected in its pictures"
             if not places
@@ -170,7 +170,7 @@ def run(
     film = {path.stem: path for path in videos}
     look = settings.refine and bool(film) and any(len(d.frame) for d in seen)
     network = detector.placer() if look else None
-    chosen = evenly_spread(frames, _LOOKS)
+    chosen = spread_indices(frames, _LOOKS)
     bodies = triangulate_bodies(chosen, training, seen, settings) if look else None
     for camera in progress(cameras, "held-out cameras"):
         if network is None or bodies is None:
@@ -181,7 +181,7 @@ def run(
         sighted, places = redetect(network, detector.worth(), camera, chosen.tolist(), pictures, bodies, late)
         answer = estimate_held_out_pose(camera, sighted, settings.limits, settings.bundle, settings.min_gain)
         sentence = pose_sentence(camera.name, answer, places)
-        (warn if answer.turned_deg or not answer.checked else say)(sentence)
+        (warn if answer.turned_deg or not answer.is_verified else say)(sentence)
         about = {name: value for name, value in asdict(answer).items() if name != "camera"}
         found.append({"camera": camera.name, **about, "places": places, "sentence": sentence})
         used.append(answer.camera)

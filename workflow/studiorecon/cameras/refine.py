@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from studiorecon.arrays import evenly_spread
+from studiorecon.arrays import spread_indices
 from studiorecon.camera_files.calibration import read_calibration
 from studiorecon.camera_files.colmap import write_model
 from studiorecon.cameras.calibration_check import Check, Settings, split_alternate_frames
@@ -58,7 +58,7 @@ class Refinement:
     report: dict[str, Any]
 
 
-def undistorted_cameras(lenses: Sequence[Lens], footage: Sequence[Footage]) -> list[Camera]:
+def pinhole_cameras(lenses: Sequence[Lens], footage: Sequence[Footage]) -> list[Camera]:
     """Undistorted working cameras at the given poses, in the order of ``footage``."""
     pose = {lens.name: lens.camera_from_world for lens in lenses}
     for entry in footage:
@@ -88,8 +88,8 @@ def decide(
     for sentence in unwatched.values():
         warn(sentence)
     if len(watched) < 2:
-        return _unchecked(training, held_out, report)
-    chosen = evenly_spread(frames, settings.frames)
+        return _given_cameras(training, held_out, report)
+    chosen = spread_indices(frames, settings.frames)
     seen, graph = make_observations(detections, training, chosen, settings.gate_m)
     medians = error_medians(training, seen, settings.limits)
     check = Check(training, detections, chosen, seen, graph, *medians, settings)
@@ -99,7 +99,7 @@ def decide(
         own = np.isin(graph.view, watched)
         return _nothing_agrees(training, held_out, graph.distance_m[np.ix_(own, own)], report, settings)
     check.refuse_cameras(moved)
-    adjusted, seen, report = _adjusted(check, moved, rooms, report)
+    adjusted, seen, report = _adjust_cameras(check, moved, rooms, report)
     after_px, per_camera_px, points = error_medians(adjusted, seen, settings.limits)
     report |= {"after_px": after_px, "after_px_per_camera": per_camera_px}
     if moved is not None:
@@ -113,16 +113,16 @@ def decide(
             "cameras and this zoom, and that the videos "
             "are synchronised"
         )
-    told_already = [name in unwatched for name in names]
-    warn_of_outlier_cameras(adjusted, seen, detections, per_camera_px, check.limit_px, settings.limits, told_already)
+    warned = [name in unwatched for name in names]
+    warn_of_outlier_cameras(adjusted, seen, detections, per_camera_px, check.limit_px, settings.limits, warned)
     report["stature_m"] = check_human_size(adjusted, seen, settings.limits)
     report["tilt_deg"] = check_tilt(adjusted, seen, settings.limits)
     if not floor_known and len(points):
-        adjusted, held_out, points = _on_floor(adjusted, held_out, seen, points, settings)
+        adjusted, held_out, points = _move_to_floor(adjusted, held_out, seen, points, settings)
     return Refinement(adjusted, held_out, points, report)
 
 
-def _adjusted(
+def _adjust_cameras(
     check: Check, moved: MovedCameras | None, rooms: Sequence[RoomPicture | None], report: dict[str, Any]
 ) -> tuple[list[Camera], Observations, dict[str, Any]]:
     """The cameras after all refinements, the observations of people by them, and the report."""
@@ -150,7 +150,7 @@ def _adjusted(
     return cameras, seen, report
 
 
-def _unchecked(training: list[Camera], held_out: list[Camera], report: dict[str, Any]) -> Refinement:
+def _given_cameras(training: list[Camera], held_out: list[Camera], report: dict[str, Any]) -> Refinement:
     warn("no person is visible in two cameras at once: the calibration is used as given, unchecked")
     return Refinement(training, held_out, np.zeros((0, 3)), {**report, "reason": "no person in two cameras"})
 
@@ -160,7 +160,7 @@ def _nothing_agrees(
 ) -> Refinement:
     measured = distance_m[~np.isnan(distance_m)]
     if not len(measured):
-        return _unchecked(training, held_out, report)
+        return _given_cameras(training, held_out, report)
     raise UserError(
         f"no person of any two cameras fits the calibration: their rays pass {measured.min():.2f} m apart at best, "
         f"{settings.gate_m} m are allowed; check that the calibration is for these cameras, that its lengths are "
@@ -176,22 +176,22 @@ def _try_refinement(
     Fitted on every other frame and judged on the rest; then fitted again on all frames.
     """
     limits, bundle, gain = settings.limits, settings.bundle, settings.min_gain
-    fit_on, judge_on = split_alternate_frames(seen)
+    fit_on, validation = split_alternate_frames(seen)
     trial = fit_cameras(training, fit_on, limits, bundle)
     if trial is None:
         return training, seen, {**report, "reason": "too few points in three cameras to refine"}
-    judged_before = error_medians(training, judge_on, limits)[0]
-    judged_after = error_medians(trial.cameras, judge_on, limits)[0]
-    report = {**report, "unseen_before_px": judged_before, "unseen_after_px": judged_after}
-    helps = judged_after < judged_before * (1 - gain)
-    best = trial.cameras if judged_after < judged_before else training
-    lens = choose_lens_terms(best, fit_on, judge_on, limits, bundle, settings.lens_change)
+    validation_before_px = error_medians(training, validation, limits)[0]
+    validation_after_px = error_medians(trial.cameras, validation, limits)[0]
+    report = {**report, "unseen_before_px": validation_before_px, "unseen_after_px": validation_after_px}
+    helps = validation_after_px < validation_before_px * (1 - gain)
+    best = trial.cameras if validation_after_px < validation_before_px else training
+    lens = choose_lens_terms(best, fit_on, validation, limits, bundle, settings.lens_change)
     report["lens"] = lens
     radial, focal = lens["radial"], lens["focal"] or lens["radial"]
     if not (helps or focal):
         say(
             "the cameras stay unchanged: on frames outside the fit, refinement changed the median reprojection "
-            f"error from {judged_before:.2f} to {judged_after:.2f} px, less than the required {gain:.0%}"
+            f"error from {validation_before_px:.2f} to {validation_after_px:.2f} px, less than the required {gain:.0%}"
         )
         return training, seen, {**report, "reason": "refinement did not clearly help"}
     prior = LensPrior(
@@ -235,7 +235,7 @@ def _log_changes(report: dict[str, Any], focal: bool, radial: bool) -> None:
         )
 
 
-def _on_floor(
+def _move_to_floor(
     training: list[Camera], held_out: list[Camera], seen: Observations, points: np.ndarray, settings: Settings
 ) -> tuple[list[Camera], list[Camera], np.ndarray]:
     """Cameras and points moved along z so that people's ankles, at their lowest, are on the floor."""
@@ -267,7 +267,7 @@ def run(
     found = read_manifest(manifest)
     given = read_calibration(calibration)
     lenses = list(given.lenses.values())
-    training, held_out = undistorted_cameras(lenses, found.training), undistorted_cameras(lenses, found.held_out)
+    training, held_out = pinhole_cameras(lenses, found.training), pinhole_cameras(lenses, found.held_out)
     looks = {path.stem: make_room_picture(path) for path in plates}
     kept, rooms = [read_detections(path) for path in detections], [looks.get(c.name) for c in training]
     outcome = decide(training, held_out, kept, found.frames, found.fps, given.floor_known, settings, rooms)

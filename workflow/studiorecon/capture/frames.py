@@ -21,7 +21,7 @@ from studiorecon.footage.container import read_film_list
 from studiorecon.footage.frames import damage_note, decode
 from studiorecon.footage.source import FootageSource, PictureRate, digest, open_source, timing_irregularities
 from studiorecon.footage.video import camera_title, write_lossless
-from studiorecon.geometry.lens import WorkingView, unseen_share, working_view, working_wh
+from studiorecon.geometry.lens import WorkingView, rayless_share, working_view, working_wh
 from studiorecon.progress import progress, say
 from studiorecon.scene.camera import Lens
 from studiorecon.scene.capture import Footage, write_footage
@@ -68,8 +68,8 @@ def describe_changes(
         changes.append(f"resized from {source.wh[0]}×{source.wh[1]} to {view.wh[0]}×{view.wh[1]}")
     if np.any(lens.distortion != 0):
         changes.append(f"lens distortion removed ({lens.model} {', '.join(f'{c:.4g}' for c in lens.distortion)})")
-    if share := unseen_share(lens, source.wh):
-        changes.append(f"{share:.1%} of its picture, for which the lens model has no ray, is not used")
+    if share := rayless_share(lens, source.wh):
+        changes.append(f"{share:.1%} of its picture is not used: the lens distortion cannot be inverted there")
     if not np.array_equal(lens.calibration_from_video, np.eye(2, 3)):
         how = lens.placed or "as pixel_maps in capture.yaml says"
         changes.append(f"pixels of the video were mapped to those of the calibration: {how}")
@@ -79,9 +79,7 @@ def describe_changes(
         changes.append(f"{jumps} of {len(used) - 1} frames are skipped or repeated to match its time stamps")
     if np.abs(late_frames).max() > 0:
         most = np.abs(late_frames).max()
-        changes.append(
-            f"its pictures are {late_frames.mean():+.2f} frames off the scene's moments ({most:.2f} at most)"
-        )
+        changes.append(f"its pictures are {late_frames.mean():+.2f} frames late on average ({most:.2f} at most)")
     return changes
 
 

@@ -102,8 +102,8 @@ def _parser() -> argparse.ArgumentParser:
 
 
 def _add_plan_arguments(plan: argparse.ArgumentParser) -> None:
-    judged = "a calibrated capture; without it, give --room"
-    plan.add_argument("folder", type=Path, nargs="?", metavar="DIR", help=judged)
+    folder_help = "a calibrated capture; without it, give --room"
+    plan.add_argument("folder", type=Path, nargs="?", metavar="DIR", help=folder_help)
     plan.add_argument("--room", metavar="WxDxH", help="width, depth and height in metres: 6x5x2.8")
     plan.add_argument("--cameras", metavar="N", default="4", help="number of cameras (default: 4)")
     field = "horizontal field of view, one or one each (default: 65)"

@@ -16,7 +16,7 @@ from statistics import median
 
 from studiorecon.progress import shorten
 
-KEPT = 12
+REMEMBERED_JOBS = 12
 """Number of jobs of one rule and scene whose seconds are remembered."""
 _ENOUGH = 0.9  # share of remaining jobs that need an estimate for a plain answer
 _SURE_S = 20.0  # estimated seconds of finished work before this run's own pace counts
@@ -119,8 +119,8 @@ class Run:
         done, width = sum(self.done.values()), 20 if columns >= 100 else 10
         full = width * done // max(self.total, 1)
         names = ", ".join(f"{job.rule.replace('_', '.', 1)} {job.of}".strip() for job in self.running.values())
-        said = f"{self.left_in_words(now_s)}; {names}" if names else "starting"
-        return shorten(f"{done}/{self.total} {'█' * full}{'░' * (width - full)} {said}", columns)
+        words = f"{self.left_in_words(now_s)}; {names}" if names else "starting"
+        return shorten(f"{done}/{self.total} {'█' * full}{'░' * (width - full)} {words}", columns)
 
 
 def read_seconds(path: Path, scene: str) -> dict[str, list[float]]:
@@ -144,7 +144,7 @@ def record_seconds(path: Path, scene: str, took: Mapping[str, list[float]]) -> N
         held = {}
     own = held.setdefault(scene, {})
     for rule, seconds in took.items():
-        own[rule] = [*own.get(rule, []), *(round(s, 1) for s in seconds)][-KEPT:]
+        own[rule] = [*own.get(rule, []), *(round(s, 1) for s in seconds)][-REMEMBERED_JOBS:]
     path.parent.mkdir(parents=True, exist_ok=True)
     partial = path.with_suffix(".partial")
     partial.write_text(json.dumps(held, sort_keys=True) + "\n", encoding="utf-8")

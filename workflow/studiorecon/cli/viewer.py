@@ -82,8 +82,8 @@ class _Reader(http.server.BaseHTTPRequestHandler):
     def _path(self) -> Path | None:
         """The requested file, or the folder whose address lacks its slash; None for a path that may not be read."""
         here = f"http://{self.headers.get('Host', '')}/"
-        asked = re.split(r"[?#]", "/" + self.path.removeprefix(here).removeprefix("/"), maxsplit=1)[0]
-        token, *parts = [os.fsdecode(unquote_to_bytes(part)) for part in asked.split("/")][1:]
+        requested = re.split(r"[?#]", "/" + self.path.removeprefix(here).removeprefix("/"), maxsplit=1)[0]
+        token, *parts = [os.fsdecode(unquote_to_bytes(part)) for part in requested.split("/")][1:]
         if not hmac.compare_digest(os.fsencode(token), self.server.token.encode()):
             return None
         if any(part in (".", "..") or re.search(r"[/\\\0]", part) for part in parts):
@@ -91,7 +91,7 @@ class _Reader(http.server.BaseHTTPRequestHandler):
         try:
             path = self.server.folder.joinpath(*filter(None, parts)).resolve()
             page = (path / "index.html").resolve()
-            found = page if asked.endswith("/") else path
+            found = page if requested.endswith("/") else path
             held = page if path.is_dir() else path
             return found if held.is_file() and found.is_relative_to(self.server.folder) else None
         except (OSError, RuntimeError):  # a name too long, a loop of links
@@ -120,8 +120,8 @@ class _Reader(http.server.BaseHTTPRequestHandler):
     def _part(self, size: int) -> tuple[HTTPStatus, range]:
         """The status of an answer and its range of bytes; several or invalid ranges get the whole file (RFC 9110,
         14.2)."""
-        asked = _RANGE.fullmatch(self.headers.get("Range", "").strip())
-        first, last = asked.groups() if asked else ("", "")
+        requested = _RANGE.fullmatch(self.headers.get("Range", "").strip())
+        first, last = requested.groups() if requested else ("", "")
         whole = HTTPStatus.OK, range(size)
         # Files have no version tag here: a request for a part of a certain version gets the whole file.
         if self.command != "GET" or not (first or last) or "If-Range" in self.headers:

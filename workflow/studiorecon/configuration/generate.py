@@ -83,7 +83,7 @@ class _Plain(yaml.SafeDumper):
 
 def _lines(settings: Iterable[Setting], indent: int) -> Iterator[str]:
     for setting in settings:
-        yield from _comment(_wrapped(setting), indent)
+        yield from _comment(_description(setting), indent)
         key = f"{'':{indent}}{setting.name}:"
         if setting.is_section:
             yield key
@@ -96,9 +96,9 @@ def _lines(settings: Iterable[Setting], indent: int) -> Iterator[str]:
             yield f"{key} {value_text(setting.default)}"
 
 
-def _wrapped(setting: Setting) -> str:
+def _description(setting: Setting) -> str:
     """Meaning, choices, unit and the paper's value in one line of words."""
-    info = setting.described
+    info = setting.description
     choices = f" One of {', '.join(literal_choices(setting))}." if literal_choices(setting) else ""
     notes = "; ".join(filter(None, [info.unit, f"paper: {info.paper}" if info.paper else ""]))
     return f"{info.meaning}{choices}{f' ({notes})' if notes else ''}"
@@ -131,13 +131,13 @@ def _table(settings: Iterable[Setting], above: str = "") -> Iterator[str]:
         default = (
             "see below" if isinstance(setting.default, Mapping) and setting.default else value_text(setting.default)
         )
-        cells = [f"`{name}`", f"`{default}`", allowed_values(setting), setting.described.meaning]
+        cells = [f"`{name}`", f"`{default}`", allowed_values(setting), setting.description.meaning]
         yield "| " + " | ".join(cell.replace("|", "\\|") for cell in cells) + " |"
 
 
 def allowed_values(setting: Setting) -> str:
     """The allowed values of a setting, in short: its words, or its bounds and unit."""
-    info = setting.described
+    info = setting.description
     if choices := literal_choices(setting):
         more = f", … ({len(choices)} in all)" if len(choices) > _MAX_CHOICES else ""
         return ", ".join(f"`{choice}`" for choice in choices[: _SHOWN_CHOICES if more else None]) + more

@@ -23,15 +23,15 @@ from studiorecon.home import CONFIGURATION
 PRESETS = ("paper.yaml", "networks.yaml")
 PAGE: Path = CONFIGURATION.parents[1] / "docs" / "paper.md"
 
-WITHOUT: Mapping[str, str] = {
+REASONS: Mapping[str, str] = {
     "people.association.gate_m": "bounds rays; 0.3 m between pelvises is a constant",
     "depth.sweep_width": "only background.fill_unseen reads the planes then",
     "render.shots": "held_out in capture.yaml selects these cameras",
 }
 """The reason why a setting that the paper mentions cannot have the paper's value."""
 
-BUT: Mapping[str, str] = {
-    "humans.gaussians": "with placed: evenly",
+REMARKS: Mapping[str, str] = {
+    "humans.gaussians": "with placement: evenly",
     "people.lift.surface_to_joint_m": "with position: scene",
     "people.triangulation.solver": "points with rays under 2° apart or within 0.1 m of a camera stay undetermined: "
     "noise moves the minimum of Eq. 2 by metres there",
@@ -92,7 +92,7 @@ Constants of the paper without a setting; a test compares them with the paper.
 
 def paper_values() -> Iterator[tuple[str, Setting]]:
     """Every setting that the paper mentions, by its dotted name."""
-    yield from ((setting.name, setting) for setting in general_settings() if setting.described.paper)
+    yield from ((setting.name, setting) for setting in general_settings() if setting.description.paper)
     for section in SECTIONS:
         yield from _inside(section.settings(), section.name)
 
@@ -102,7 +102,7 @@ def _inside(settings: Iterable[Setting], above: str) -> Iterator[tuple[str, Sett
         name = f"{above}.{setting.name}"
         if setting.is_section:
             yield from _inside(setting.inner(), name)
-        elif setting.described.paper:
+        elif setting.description.paper:
             yield name, setting
 
 
@@ -111,12 +111,12 @@ def merge_presets(names: Iterable[str] = PRESETS) -> Mapping[str, Any]:
     whole: dict[str, Any] = dict(default_configuration())
     for name in names:
         preset = yaml.safe_load((CONFIGURATION.parent / "presets" / name).read_text(encoding="utf-8"))
-        whole = _over(whole, preset)
+        whole = _overlay(whole, preset)
     return whole
 
 
-def _over(below: Mapping[str, Any], above: Mapping[str, Any]) -> dict[str, Any]:
-    deeper = {k: _over(below.get(k, {}), v) if isinstance(v, Mapping) else v for k, v in above.items()}
+def _overlay(below: Mapping[str, Any], above: Mapping[str, Any]) -> dict[str, Any]:
+    deeper = {k: _overlay(below.get(k, {}), v) if isinstance(v, Mapping) else v for k, v in above.items()}
     return {**below, **deeper}
 
 
@@ -130,13 +130,13 @@ def value_at(config: Mapping[str, Any], name: str) -> Any:
 
 def presets_state(name: str, setting: Setting, config: Mapping[str, Any]) -> str:
     """ "literal" or the difference from the paper, for one setting in a configuration."""
-    letter = setting.described.paper_value
+    letter = setting.description.paper_value
     if letter is None:
-        return f"no such setting: {WITHOUT[name]}"
+        return f"no such setting: {REASONS[name]}"
     if value_at(config, name) != letter:
         return "not taken"
     found = "literal (default)" if plain_value(setting.default) == letter else "literal"
-    return f"{found}; {BUT[name]}" if name in BUT else found
+    return f"{found}; {REMARKS[name]}" if name in REMARKS else found
 
 
 def stage_constant(place: str, name: str) -> Any:
@@ -154,7 +154,7 @@ def page_text() -> str:
             presets_state(name, setting, config).removeprefix("literal").removeprefix(" (default)").removeprefix("; ")
         )
         last = "; ".join(filter(None, [preset, remark]))
-        cells = [f"`{name}`", _source(setting.described.paper), last]
+        cells = [f"`{name}`", _source(setting.description.paper), last]
         rows.append("| " + " | ".join(cell.replace("|", "\\|") for cell in cells) + " |\n")
     constants = [
         f"| `{place.partition(':')[0]}` `{name}` | {_source(where)} | `{value_text(stage_constant(place, name))}` |\n"

@@ -26,7 +26,7 @@ def coerce_types(value: Any, schema: Mapping[str, Any], root: Mapping[str, Any] 
     Other values stay, for ``mistakes`` to report. ``root`` is the schema that references point into.
     """
     root = schema if root is None else root
-    schema = _resolved(schema, root)
+    schema = _resolve(schema, root)
     if isinstance(value, Mapping):
         made = {str(key): coerce_types(inner, _property(schema, str(key)), root) for key, inner in value.items()}
         for part in schema.get("allOf", ()):
@@ -34,7 +34,7 @@ def coerce_types(value: Any, schema: Mapping[str, Any], root: Mapping[str, Any] 
                 made = coerce_types(made, part.get("then", part) if "if" in part else part, root)
         return made
     if isinstance(value, (list, tuple)):
-        options = [schema, *(_resolved(option, root) for option in schema.get("oneOf", ()))]
+        options = [schema, *(_resolve(option, root) for option in schema.get("oneOf", ()))]
         items: dict[str, Any] = next((option["items"] for option in options if "items" in option), {})
         return [coerce_types(item, items, root) for item in value]
     readings = list(_readings(value, schema))
@@ -55,11 +55,11 @@ def mistakes(config: Mapping[str, Any], schema: Mapping[str, Any]) -> list[str]:
     )
 
 
-def named_settings(schema: Mapping[str, Any]) -> Iterator[tuple[str, Mapping[str, Any]]]:
+def walk_settings(schema: Mapping[str, Any]) -> Iterator[tuple[str, Mapping[str, Any]]]:
     """Every setting of the schema by its dotted name, sections included, with the schema's part for it."""
     for name, inner in schema.get("properties", {}).items():
         yield name, inner
-        for below, part in named_settings(inner):
+        for below, part in walk_settings(inner):
             yield f"{name}.{below}", part
 
 
@@ -96,7 +96,7 @@ def _property(schema: Mapping[str, Any], key: str) -> Mapping[str, Any]:
     return schema.get("properties", {}).get(key, beyond if isinstance(beyond, Mapping) else {})
 
 
-def _resolved(schema: Mapping[str, Any], root: Mapping[str, Any]) -> Mapping[str, Any]:
+def _resolve(schema: Mapping[str, Any], root: Mapping[str, Any]) -> Mapping[str, Any]:
     while "$ref" in schema:
         place: Any = root
         for name in schema["$ref"].removeprefix("#/").split("/"):
@@ -181,7 +181,7 @@ def _choices(schema: Mapping[str, Any], name: str) -> str:
 def _nearest(name: str, path: list[str], known: list[str], schema: Mapping[str, Any]) -> str:
     """The probable meaning of an unknown name: a similar neighbour, or the same name in another section."""
     near = [".".join([*path, close]) for close in difflib.get_close_matches(name, known, 1)]
-    elsewhere = [full for full, _ in named_settings(schema) if full.rpartition(".")[2] == name]
+    elsewhere = [full for full, _ in walk_settings(schema) if full.rpartition(".")[2] == name]
     inside = [full for full in elsewhere if path and full.startswith(f"{path[0]}.")]
     found = near or inside[:3] or elsewhere[:3]
     if found:

@@ -18,7 +18,7 @@ from typing import Any
 
 
 @dataclass(frozen=True)
-class Described:
+class Description:
     """The description of a setting, in addition to its type and default.
 
     Attributes:
@@ -55,13 +55,13 @@ class Setting:
         name: its key.
         kind: its type, as annotated.
         default: its default value; the default dataclass for a section.
-        described: its description.
+        description: its description.
     """
 
     name: str
     kind: Any
     default: Any
-    described: Described
+    description: Description
 
     @property
     def is_section(self) -> bool:
@@ -74,8 +74,8 @@ class Setting:
 
 
 def setting(default: Any, meaning: str, **described: Any) -> Any:
-    """A dataclass field that is a setting; see ``Described`` for the other arguments."""
-    metadata = {"setting": Described(meaning, **described)}
+    """A dataclass field that is a setting; see ``Description`` for the other arguments."""
+    metadata = {"setting": Description(meaning, **described)}
     if isinstance(default, (dict, list)):
         return dataclasses.field(default_factory=lambda: copy.deepcopy(default), metadata=metadata)
     return dataclasses.field(default=default, metadata=metadata)
@@ -122,6 +122,6 @@ def union_members(kind: Any) -> tuple[Any, ...]:
 
 def literal_choices(setting: Setting) -> tuple[str, ...]:
     """The words that a setting may have, if it allows nothing else."""
-    if setting.described.choices:
-        return setting.described.choices
+    if setting.description.choices:
+        return setting.description.choices
     return typing.get_args(setting.kind) if typing.get_origin(setting.kind) is typing.Literal else ()

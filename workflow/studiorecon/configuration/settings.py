@@ -79,14 +79,14 @@ def _convert(value: Any, kind: Any, where: str, default: Any = None) -> Any:
     if origin in (dict, Mapping) or kind is dict:
         if not isinstance(value, Mapping):
             raise UserError(f"setting {where} must be a section with keys, not {value!r}")
-        names = named_keys(kind)
+        names = literal_keys(kind)
         return {k: v for k, v in value.items() if not names or k in names}
     if kind is Any:
         return value
     return _scalar(value, kind, where)
 
 
-def named_keys(kind: Any) -> tuple[str, ...]:
+def literal_keys(kind: Any) -> tuple[str, ...]:
     """The keys that ``Mapping[Literal["a", "b"], V]`` names, for a step that reads part of a mapping; else none."""
     keys = typing.get_args(kind)[:1]
     return typing.get_args(keys[0]) if keys and typing.get_origin(keys[0]) is typing.Literal else ()

@@ -18,7 +18,7 @@ from typing import Any
 
 from studiorecon import code
 from studiorecon.configuration.setting import is_setting
-from studiorecon.configuration.settings import named_keys
+from studiorecon.configuration.settings import literal_keys
 
 # Name → the fields read below it; None = the value as a whole.
 Fields = dict[str, Any]
@@ -89,7 +89,7 @@ def _below(hint: Any) -> Fields | None:
         options = typing.get_args(hint)
         groups = [option for option in options if isinstance(option, type) and dataclasses.is_dataclass(option)]
         return setting_fields(groups[0]) if len(groups) == 1 else None
-    return dict.fromkeys(named_keys(hint)) or None
+    return dict.fromkeys(literal_keys(hint)) or None
 
 
 def _memory() -> Path:

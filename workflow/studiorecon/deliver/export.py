@@ -68,7 +68,7 @@ invented (the report shows where), and a PLY cannot say which. The people's PLY 
 in bodies/.
 """
 # Files that other steps write into the same folder; a file being written has a longer name.
-OF_OTHER_STEPS = ("room.glb", "scene.glb", "scene.usdc", "player.html", "player.jpg")
+OTHER_STEPS_FILES = ("room.glb", "scene.glb", "scene.usdc", "player.html", "player.jpg")
 # Frame of the merged scene of background and people: the first, which every capture has.
 _STILL_FRAME = 0
 _STILL = "still.ply         the room and everybody in it at frame {frame}, for viewers of static scenes\n"
@@ -217,10 +217,10 @@ def run(
     delivered = sorted(["README.txt", *written, *(str(path.relative_to(folder)) for path in paths)])
     there = {path: str(path.relative_to(folder)) for path in folder.rglob("*") if path.is_file()}
     for path, name in there.items():
-        if name not in delivered and not name.endswith(OF_OTHER_STEPS):
+        if name not in delivered and not name.endswith(OTHER_STEPS_FILES):
             path.unlink()
     described = {"scene": capture.scene, "still_frame": _STILL_FRAME, "fps": capture.fps, "frames": capture.frames}
-    listed = {"cameras": [_as_listed(camera) for camera in cameras]}
+    listed = {"cameras": [_camera_json(camera) for camera in cameras]}
     write_json(contents, described | listed | {"files": {name: digest(folder / name) for name in delivered}})
     size_mb = sum(path.stat().st_size for path in folder.rglob("*") if path.is_file()) / 1e6
     say(f"{len(delivered)} files are in {folder}, {size_mb:.1f} MB")
@@ -243,7 +243,7 @@ def _motions(
     return written
 
 
-def _as_listed(camera: Camera) -> dict[str, Any]:
+def _camera_json(camera: Camera) -> dict[str, Any]:
     """A camera as blender.py reads it, with its film."""
     return {
         "name": camera.name,

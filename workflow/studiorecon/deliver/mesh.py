@@ -12,12 +12,12 @@ from typing import Any
 
 import numpy as np
 
-from studiorecon.arrays import evenly_spread
+from studiorecon.arrays import spread_indices
 from studiorecon.camera_files.colmap import read_model
 from studiorecon.deliver.fusion import FusedSurface, decimate, fuse, remove_vertices, render_views
 from studiorecon.deliver.gltf import Buffer, add_colours, vertex_normals, write_document
 from studiorecon.deliver.motion_files import Y_UP_FROM_Z_UP
-from studiorecon.deliver.room_planes import Plane, build_planes, distance_m, kept_faces
+from studiorecon.deliver.room_planes import Plane, build_planes, distance_m, mesh_faces
 from studiorecon.progress import say
 from studiorecon.scene.gaussians_ply import read_ply
 from studiorecon.scene.path import read_path
@@ -81,12 +81,12 @@ def run(model: Path, background: Path, provenance: Path, room_box: Path, path: P
     gaussians, box = read_ply(background), read_room(room_box)
     marks = read_provenance(provenance, gaussians.count)
     steps, _ = read_path(path)
-    between = [steps[i].camera for i in evenly_spread(len(steps), VIEWPOINTS)] if steps else []
+    between = [steps[i].camera for i in spread_indices(len(steps), VIEWPOINTS)] if steps else []
     views = render_views(gaussians, marks, [*read_model(model.parent), *between])
     surface = fuse(views, VOXEL_M)
     standing = decimate(remove_vertices(surface, distance_m(box, surface.vertices_m) < _OF_PLANE_M), TRIANGLES)
     flat = build_planes(box, views, PLANE_STEP_M, PLANE_VERTICES)
-    left_out = [FACES[index] for index in range(len(FACES)) if index not in kept_faces(box)]
+    left_out = [FACES[index] for index in range(len(FACES)) if index not in mesh_faces(box)]
     write_room(mesh, flat, standing, left_out)
     unseen = sum(int(np.count_nonzero(plane.provenance == INVENTED)) for plane in flat) / max(
         1, sum(len(p.rgb) for p in flat)

@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Any
 import cv2
 import numpy as np
 
-from studiorecon.arrays import evenly_spread
+from studiorecon.arrays import spread_indices
 from studiorecon.deliver.finished import FinishedScene, read_finished
 from studiorecon.deliver.packing import Bytes
 from studiorecon.deliver.player_data import describe_scene, read_shade
@@ -67,7 +67,7 @@ def add_footage(
     for camera, video in zip(cameras, videos, strict=True):
         camera["photos"] = [
             {"frame": int(frame), "file": held.file(jpeg(downscale_to_width(read_frame(video, int(frame))), QUALITY))}
-            for frame in evenly_spread(frames, PHOTOS)
+            for frame in spread_indices(frames, PHOTOS)
         ]
     return [f"{min(PHOTOS, frames)} of {frames} photos per camera are included; the nearest in time is shown"]
 

@@ -158,7 +158,9 @@ def camera_json(camera: Camera, held: Bytes, exposure: Factors) -> dict[str, Any
     """A camera, with the brightness of its pictures relative to the scene: one factor, or one per frame."""
     found = camera.as_json()
     found = {name: value.tolist() if isinstance(value, np.ndarray) else value for name, value in found.items()}
-    return found | ({"exposure": held.floats(exposure.of[camera.name])} if camera.name in exposure.of else {})
+    return found | (
+        {"exposure": held.floats(exposure.by_camera[camera.name])} if camera.name in exposure.by_camera else {}
+    )
 
 
 def film_rows(steps: Sequence[PathStep]) -> Float[np.ndarray, "P 14"]:

@@ -41,7 +41,7 @@ class Plane:
     provenance: Integer[np.ndarray, " V"]
 
 
-def kept_faces(room_box: RoomBox) -> list[int]:
+def mesh_faces(room_box: RoomBox) -> list[int]:
     """Indices of the faces in the mesh: the floor, and faces fitted to the photos; default walls are arbitrary."""
     return [index for index, name in enumerate(FACES) if name == "floor" or room_box.fitted[index]]
 
@@ -49,7 +49,7 @@ def kept_faces(room_box: RoomBox) -> list[int]:
 def distance_m(room_box: RoomBox, points_m: Float[np.ndarray, "N 3"]) -> Float[np.ndarray, " N"]:
     """Distance from points to the nearest face of the mesh; 0 for points beyond one."""
     apart = np.full(len(points_m), np.inf)
-    for index in kept_faces(room_box):
+    for index in mesh_faces(room_box):
         normal, offset = room_box.faces[index, :3], room_box.faces[index, 3]
         inward = (points_m @ normal - offset) * (-1 if index % 2 else 1)
         apart = np.minimum(apart, np.maximum(inward, 0))
@@ -59,14 +59,14 @@ def distance_m(room_box: RoomBox, points_m: Float[np.ndarray, "N 3"]) -> Float[n
 def build_planes(room_box: RoomBox, views: Sequence[FusedView], step_m: float, vertices: int) -> list[Plane]:
     """The faces of the mesh as grids of about ``step_m``, coarser where all would have more than ``vertices``."""
     size = room_box.high_m - room_box.low_m
-    area = sum(np.prod(np.delete(size, index // 2)) for index in kept_faces(room_box))
+    area = sum(np.prod(np.delete(size, index // 2)) for index in mesh_faces(room_box))
     step_m = max(step_m, float(np.sqrt(area / vertices)))
-    made = [_grid(room_box, index, step_m) for index in kept_faces(room_box)]
+    made = [_grid(room_box, index, step_m) for index in mesh_faces(room_box)]
     coloured = [_colours(points, views) for points, _ in made]
     found_m = np.concatenate([points[seen] for (points, _), (_, seen) in zip(made, coloured)])
     found_rgb = np.concatenate([rgb[seen] for rgb, seen in coloured])
     result = []
-    for index, (points, triangles), (rgb, seen) in zip(kept_faces(room_box), made, coloured):
+    for index, (points, triangles), (rgb, seen) in zip(mesh_faces(room_box), made, coloured):
         if len(found_m) and not seen.all():
             _, near = scipy.spatial.cKDTree(found_m).query(points[~seen], k=min(8, len(found_m)))
             rgb[~seen] = found_rgb[np.asarray(near).reshape(np.count_nonzero(~seen), -1)].mean(axis=1)

@@ -124,9 +124,9 @@ def run(settings: Settings, model: Path, plates: list[Path], sweeps: list[Path],
         if fitted.fitted[index]:
             why = f" (correlation {fitted.score[index]:.2f})"
         elif uprights_at.get(index) == 0:
-            why = ": a default, no further behind the cameras than the measured walls"
+            why = ": a default, as far behind the cameras as the measured walls at most"
         elif index in uprights_at:
-            why = f": nothing matches there, but {uprights_at[index]} upright edges end on the floor before it"
+            why = f": no photo matches, but {uprights_at[index]} upright edges end on the floor in front of it"
         else:
             why = ": a default, because the photos show no such surface"
         say(f"{name} at {face[3]:.3f} m{why}")

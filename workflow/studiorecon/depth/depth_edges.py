@@ -44,7 +44,9 @@ def sharpen_depth(depth_m: Float[np.ndarray, "H W"], rgb: Float[np.ndarray, "H W
     across, down = (cv2.Sobel(logs, cv2.CV_32F, x, y, ksize=3, scale=1 / 8) for x, y in ((1, 0), (0, 1)))
     reach = _reach(depth_m.shape)
     return np.exp(
-        _continued(logs, across, down, depth_edge_pixels(depth_m), rgb.astype(np.float32), reach, np.float32(_CONTRAST))
+        _continue_surface(
+            logs, across, down, depth_edge_pixels(depth_m), rgb.astype(np.float32), reach, np.float32(_CONTRAST)
+        )
     )
 
 
@@ -53,7 +55,7 @@ def _reach(shape: tuple[int, ...]) -> int:
 
 
 @njit(cache=True)
-def _continued(logs, across, down, edge, rgb, reach, contrast):
+def _continue_surface(logs, across, down, edge, rgb, reach, contrast):
     height, width = logs.shape
     made = logs.copy()
     for y in range(height):

@@ -54,7 +54,7 @@ class NetworkTerm:
     unjudged_cost: float = 0.3
 
 
-def calibrated_network(
+def calibrate_network(
     estimate: Float[np.ndarray, "H W"],
     picture: Picture,
     box: Surface,
@@ -81,8 +81,8 @@ def calibrated_network(
     name = picture.camera.name
     if found is None:
         raise UserError(
-            f"nothing says how many metres a unit of the network's depth of camera {name} is: no surface there is "
-            "measured by stereo too; set depth.source to embedded, or bring metric depth maps (depth/ in the dataset)"
+            f"the scale of the network's depth is unknown in camera {name}, because stereo measures no surface there; "
+            "set depth.source to embedded, or bring metric depth maps (depth/ in the dataset)"
         )
     sigma, missed = float(np.median(found[1].sigma)), found[1].outliers
     say(f"{name}: the network's depth is ±{sigma:.1%} off the measured room and misses {missed:.0%} of its objects")
@@ -103,7 +103,7 @@ def label_with_network(
     """(H, W) the surface of least cost at every pixel: 0 room box, 1 furniture, 2 network; smooth except at edges."""
 
     def by_photos(surface: Surface) -> np.ndarray:
-        cost = np.where(surface.judged, surface.cost, settings.unjudged_cost)
+        cost = np.where(surface.compared, surface.cost, settings.unjudged_cost)
         # A flat window matches flat windows everywhere: that is worth no more than no judgement.
         return np.where(textured, cost, np.maximum(cost, settings.unjudged_cost))
 

@@ -38,7 +38,7 @@ def run(kernels: Written) -> None:
         depth_with_primitives(
             [Primitive.from_numbers(primitive, 1.0)], picture.camera, bare.intersect(*picture.camera.rays())[0]
         )
-    say("the kernels of depth are compiled")
+    say("the depth kernels are compiled")
     kernels.write_text("compiled\n", encoding="utf-8")
 
 

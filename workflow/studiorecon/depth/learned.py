@@ -57,7 +57,7 @@ class Calibration:
 
     def depth(self, estimate: Float[np.ndarray, "H W"]) -> Float[np.ndarray, "H W"]:
         """Float32 depth in metres at any size; 0 = unknown."""
-        flat = _flat(estimate, self.alignment, self.inverse)
+        flat = _aligned_depth(estimate, self.alignment, self.inverse)
         field = resample_corners(self.nodes, estimate.shape)
         return np.where(flat > 0, flat * np.exp(field), 0).astype(np.float32)
 
@@ -121,25 +121,25 @@ def calibrate(
     """
     outputs: tuple[Output, ...] = ("affine", "inverse") if output == "auto" else (output,)
     usable = measured | on_room
-    found = [one for kind in outputs if (one := _calibrated(estimate, reference_m, usable, kind)) is not None]
+    found = [one for kind in outputs if (one := _fit_calibration(estimate, reference_m, usable, kind)) is not None]
     if not found:
         return None
     calibration, sigma = min(found, key=lambda one: float(np.median(one[1])))
     depth_m = calibration.sharp_depth(estimate, rgb)
-    objects = measured & (depth_m > 0) & (_apart(reference_m, room_m) > 4 * sigma)
-    missed = float((_apart(reference_m, depth_m) > 3 * np.hypot(sigma, _FURNITURE_SIGMA))[objects].sum())
+    objects = measured & (depth_m > 0) & (_log_difference(reference_m, room_m) > 4 * sigma)
+    missed = float((_log_difference(reference_m, depth_m) > 3 * np.hypot(sigma, _FURNITURE_SIGMA))[objects].sum())
     tile = (_TOGETHER_SHARE * max(estimate.shape)) ** 2
     outliers = (missed / tile + _PRIOR_WRONG) / (objects.sum() / tile + _PRIOR_RIGHT + _PRIOR_WRONG)
     return calibration, LearnedDepth(depth_m, sigma, float(outliers))
 
 
-def _apart(first_m: np.ndarray, second_m: np.ndarray) -> np.ndarray:
+def _log_difference(first_m: np.ndarray, second_m: np.ndarray) -> np.ndarray:
     """(H, W) difference of log depth; 0 where one is unknown."""
     known = (first_m > 0) & (second_m > 0)
     return np.where(known, np.abs(np.log(np.where(known, first_m, 1) / np.where(known, second_m, 1))), 0)
 
 
-def _calibrated(
+def _fit_calibration(
     estimate: np.ndarray, reference_m: np.ndarray, room: np.ndarray, output: Output
 ) -> tuple[Calibration, np.ndarray] | None:
     usable = room & (estimate > 0) & (reference_m > 0)
@@ -149,7 +149,7 @@ def _calibrated(
         alignment = Alignment(float(np.median(reference_m[usable] / estimate[usable])), 0.0, "scale")
     else:
         alignment = align_depth(estimate, target, usable, np.random.default_rng(0))
-    flat = _flat(estimate, alignment, inverse)
+    flat = _aligned_depth(estimate, alignment, inverse)
     usable &= flat > 0
     if alignment.model == "undetermined" or not usable.any():
         return None
@@ -167,7 +167,7 @@ def _calibrated(
     return Calibration(inverse, alignment, nodes), sigma
 
 
-def _flat(estimate: np.ndarray, alignment: Alignment, inverse: bool) -> np.ndarray:
+def _aligned_depth(estimate: np.ndarray, alignment: Alignment, inverse: bool) -> np.ndarray:
     """(H, W) depth in metres before the smooth field; 0 = unknown."""
     made = alignment.apply(estimate, _NEAR_M)
     return np.where(made > 0, 1 / np.where(made > 0, made, 1), 0) if inverse else made

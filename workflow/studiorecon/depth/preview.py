@@ -92,7 +92,7 @@ def run(settings: Settings, model: Path, plates: list[Path], sweeps: list[Path],
     cameras = read_model(model.parent)
     swept, fitted = read_sweeps(sweeps, len(cameras)), read_room(box)
     pictures = equalise_exposure(read_pictures(cameras, plates, settings.sweep_width), swept.gains)
-    depths_m = swept.votes.inside(pictures, fitted).depths_m(pictures, fitted)
+    depths_m = swept.votes.inside_room(pictures, fitted).depths_m(pictures, fitted)
     room, path = discs_from_depths(pictures, depths_m), preview_path([p.camera for p in pictures])
     write_watchable(film, draw_views(room, path), _FPS)
     say(f"preview of the room without people: {film} ({len(path)} pictures of {room.count} Gaussians, untrained)")

@@ -19,7 +19,7 @@ from numba import njit
 from studiorecon.camera_files.colmap import read_model
 from studiorecon.configuration.setting import setting
 from studiorecon.depth.estimates import read_camera_estimate
-from studiorecon.depth.fusion import NetworkTerm, calibrated_network, label_with_network
+from studiorecon.depth.fusion import NetworkTerm, calibrate_network, label_with_network
 from studiorecon.depth.layout.primitives import depth_with_primitives, read_primitives
 from studiorecon.depth.stereo.kernels import FIRST
 from studiorecon.depth.stereo.photo_cost import PhotoCostVolume, Surface
@@ -119,7 +119,7 @@ def _carry(values, guide, rgb, contrast):
 
 
 @dataclass(frozen=True)
-class _Built:
+class _CameraSurfaces:
     """What the photos say of one camera: its picture, the room box and the furniture in front of it, at this size.
 
     ``fitted``: pixels on a face of the box that was fitted to the photos.
@@ -138,7 +138,7 @@ class _Built:
 
 
 def compete_with_network(
-    built: _Built,
+    built: _CameraSurfaces,
     volume: PhotoCostVolume,
     index: int,
     estimate: Float[np.ndarray, "H W"],
@@ -148,7 +148,7 @@ def compete_with_network(
 ) -> tuple[Float[np.ndarray, "H W"], Float[np.ndarray, "H W"]]:
     """Depth and confidence where a network's ``estimate`` competes with box and furniture (``at_full_size_m``)."""
     picture = built.picture
-    calibration, learned = calibrated_network(
+    calibration, learned = calibrate_network(
         estimate, picture, built.box, built.furniture, built.fitted, settings.output
     )
     network = volume.of_depth(index, learned.depth_m)
@@ -198,7 +198,7 @@ def run(
         certainty = resample_nearest(certainty, whole.hw)
     for path in estimates:
         in_front_m = replace(seen, depth_m=np.where(in_view, seen.depth_m, 0))
-        built = _Built(pictures[index], box, in_front_m, fitted)
+        built = _CameraSurfaces(pictures[index], box, in_front_m, fitted)
         rgb = read_plate(plates[index], whole.wh)[0] / gains[index].astype(np.float32)
         surfaces_m = [box_m, depth_with_primitives(furniture, whole, np.zeros_like(box_m))[0]]
         estimate = read_camera_estimate(path, whole)

@@ -15,7 +15,7 @@ import numpy as np
 
 from studiorecon.camera_files.colmap import read_model
 from studiorecon.configuration.setting import setting
-from studiorecon.depth.layout.yaw import matched_yaw
+from studiorecon.depth.layout.yaw import match_yaw
 from studiorecon.depth.stereo.labelling import label_planes
 from studiorecon.depth.stereo.matching import UNKNOWN
 from studiorecon.depth.stereo.planes import plane_hypotheses, rig_centre, wall_yaw
@@ -101,9 +101,9 @@ def run(settings: Settings, camera: str, model: Path, plates: list[Path], sweep:
     )
     yaw_rad, support = wall_yaw([p.camera for p in pictures], [p.rgb for p in pictures], [p.known for p in pictures])
     if support < _MIN_YAW_SUPPORT:
-        yaw_rad = matched_yaw(pictures, floor_m, settings.reach_m, settings.near_m, settings.far_m)
+        yaw_rad = match_yaw(pictures, floor_m, settings.reach_m, settings.near_m, settings.far_m)
         say(
-            f"no common direction of lines (support {support:.2f}): walls at {np.degrees(yaw_rad):.0f}° and "
+            f"straight lines have no common direction (support {support:.2f}): walls at {np.degrees(yaw_rad):.0f}° and "
             "perpendicular to it match best"
         )
     else:

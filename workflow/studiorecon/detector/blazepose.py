@@ -105,10 +105,10 @@ class BlazePose:
         """(33, 3) the second network's points and scores for the person with landmarks at ``pixels``."""
         if self._second is None:
             return None
-        said = self._second.look(picture, pixels)
+        refined = self._second.look(picture, pixels)
         out = np.full((LANDMARKS, 3), np.nan)
         for own, theirs in self._shared:
-            out[own] = said[theirs]
+            out[own] = refined[theirs]
         return out
 
 

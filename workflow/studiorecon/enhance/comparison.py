@@ -102,12 +102,12 @@ def run(
                 raise UserError(
                     f"picture {number} of shot {shot} has no photo though the first one has; render the shot again"
                 )
-            shown = [raw, output] if photo is None else [raw, output, _fitted(photo, raw.shape)]
+            shown = [raw, output] if photo is None else [raw, output, _pad_photo(photo, raw.shape)]
             put(side_by_side(shown, words), wipe_picture(shown[-2], shown[-1], wipe_share(number, fps), words[-2:]))
     say(f"{beside} and {wipe} compare {' | '.join(words)} of shot {shot}")
 
 
-def _fitted(photo: np.ndarray, shape: tuple[int, ...]) -> np.ndarray:
+def _pad_photo(photo: np.ndarray, shape: tuple[int, ...]) -> np.ndarray:
     """The photo at the top left of a picture of the film's size (see ``render/shots.py``, every_frame)."""
     fitted = np.zeros(shape, np.uint8)
     fitted[: photo.shape[0], : photo.shape[1]] = photo[: shape[0], : shape[1]]

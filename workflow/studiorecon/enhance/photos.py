@@ -37,7 +37,7 @@ class Training:
 
     def photo(self, index: int, frame: int) -> Integer[np.ndarray, "h w 3"]:
         """Photo of one camera, corrected to the common exposure and the plate's light."""
-        return self.exposure.even_out(self.cameras[index].name, self.photos[index].at(frame), frame)
+        return self.exposure.normalise(self.cameras[index].name, self.photos[index].at(frame), frame)
 
     def nearest_frame(self, frame: float) -> int:
         """The nearest whole frame to a fractional one."""

@@ -119,7 +119,7 @@ def run(
         outputs, decided = source.pictures(), apply_forced(left_out, settings.force)
     else:
         instead = to_bytes(read_plate(edited[0])[0]) if edited else None
-        outputs, decided = enhanced_film(settings, shot, source, photos.read(), instead, weights, device)
+        outputs, decided = enhance_film(settings, shot, source, photos.read(), instead, weights, device)
     write_decisions(decisions, decided)
     writers = (
         lambda frames: write_lossless(video, frames, source.fps),
@@ -130,7 +130,7 @@ def run(
             put(output, output)
 
 
-def enhanced_film(
+def enhance_film(
     settings: Settings,
     shot: str,
     drawn: RenderedFilm,
@@ -164,7 +164,7 @@ def choose_enhancer(settings: Settings, training: Training, weights: Path, devic
         decision = certain_decision(ENHANCEMENT, on, f"enhance.enhancer is {settings.enhancer}")
         (decision,) = apply_forced([decision], _of(settings.force, ENHANCEMENT.name))
         decision = decision if on else no_enhancement(decision)
-        name = settings.enhancer if decision.called_for else "none"
+        name = settings.enhancer if decision.is_on else "none"
         return load_enhancer(name, weights, device, settings.seed), decision
     if settings.strength == "auto":
         strength, decision = transfer_strength(
@@ -175,7 +175,7 @@ def choose_enhancer(settings: Settings, training: Training, weights: Path, devic
         decision = certain_decision(ENHANCEMENT, strength > 0, f"enhance.strength is {strength:g}")
     (decision,) = apply_forced([decision], _of(settings.force, ENHANCEMENT.name))
     decision = decision if strength else no_enhancement(decision)
-    if not decision.called_for:
+    if not decision.is_on:
         return Unchanged(), decision
     latest = lru_cache(maxsize=1)(lambda frame: training.sources(frame, settings.transfer))
     return ResidualTransfer(lambda frame: latest(training.nearest_frame(frame)), strength, settings.transfer), decision
@@ -183,7 +183,7 @@ def choose_enhancer(settings: Settings, training: Training, weights: Path, devic
 
 def no_enhancement(decision: Decision) -> Decision:
     """A decision against enhancement where there is nothing to add, even if it was forced: the film is the render."""
-    if not decision.called_for:
+    if not decision.is_on:
         return decision
     reason = f"{decision.reason}, but there is nothing to add: choose enhance.enhancer, or a strength above 0"
     warn(f"enhancement is forced on: {reason}")
@@ -211,7 +211,7 @@ def choose_injection(
         change = flicker_increase(drawn.steps, drawn.render, drawn.depth, reference, enhancer, search)
         decision = decide_injection(change, settings.threshold(INJECTION.name))
     (decision,) = apply_forced([decision], _of(settings.force, INJECTION.name))
-    return injection if decision.called_for else replace(injection, history=0), decision
+    return injection if decision.is_on else replace(injection, history=0), decision
 
 
 def _of(verdicts: Mapping[str, str], effect: str) -> dict[str, str]:

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from studiorecon.arrays import evenly_spread
+from studiorecon.arrays import spread_indices
 from studiorecon.enhance.photos import Training
 from studiorecon.footage.video import read_frames_from, to_float
 from studiorecon.geometry.statistics import NOTHING, Estimate, mean_estimate, median_estimate
@@ -47,7 +47,7 @@ def transfer_strength(training: Training, frames: int, transfer: Transfer, thres
     predicted: list[list[tuple[np.ndarray, np.ndarray]]] = [[] for _ in range(count)]
     smoothed: list[list[np.ndarray]] = [[] for _ in range(count)]
     before, with_photo, with_itself = np.zeros(count), np.zeros(count), np.zeros(count)
-    for frame in evenly_spread(training.frames, frames):
+    for frame in spread_indices(training.frames, frames):
         sources = training.sources(int(frame), transfer)
         for index, own in enumerate(sources):
             others = sources[:index] + sources[index + 1 :]
@@ -59,13 +59,13 @@ def transfer_strength(training: Training, frames: int, transfer: Transfer, thres
             with_photo[index] += float((whole * added).sum(dtype=np.float64))
             with_itself[index] += float((added * added).sum(dtype=np.float64))
     everybody = range(count)
-    strength, evidence = best_strength(*_of(everybody, predicted, smoothed))
+    strength, evidence = best_strength(*_select_cameras(everybody, predicted, smoothed))
     if evidence < _MIN_EVIDENCE:
         few = f"only {100 * evidence:.1f} % of the training pixels are seen by a second training camera"
         return 0.0, ENHANCEMENT.decide(None, None, few, threshold=threshold)
     gains = np.full(count, np.nan)
     for index in everybody:
-        factor, shared = best_strength(*_of([k for k in everybody if k != index], predicted, smoothed))
+        factor, shared = best_strength(*_select_cameras([k for k in everybody if k != index], predicted, smoothed))
         left = before[index] - 2 * factor * with_photo[index] + factor**2 * with_itself[index]
         if shared >= _MIN_EVIDENCE:
             # Renders equal to the photos leave nothing to gain.
@@ -82,7 +82,7 @@ def transfer_strength(training: Training, frames: int, transfer: Transfer, thres
     return strength, decision
 
 
-def _of(
+def _select_cameras(
     cameras: Iterable[int], predicted: list[list[tuple[np.ndarray, np.ndarray]]], residuals: list[list[np.ndarray]]
 ) -> tuple[list[tuple[np.ndarray, np.ndarray]], list[np.ndarray]]:
     chosen = list(cameras)
@@ -103,11 +103,11 @@ def flicker_increase(
     """
     pairs = [i for i in range(1, len(steps)) if steps[i].segment == steps[i - 1].segment]
     grown = []
-    for index in (pairs[i] for i in evenly_spread(len(pairs), min(_PAIRS, len(pairs)))):
+    for index in (pairs[i] for i in spread_indices(len(pairs), min(_PAIRS, len(pairs)))):
         drawn = list(read_frames_from(render, index - 1, index + 1))
         depths = list(read_frames_from(depth, index - 1, index + 1))
         better = [
-            _alone(enhancer, picture, millimetres, steps[at], reference(steps[at]))
+            _enhance_picture(enhancer, picture, millimetres, steps[at], reference(steps[at]))
             for at, picture, millimetres in zip((index - 1, index), drawn, depths, strict=True)
         ]
         if drawn[0].shape != drawn[1].shape:
@@ -124,7 +124,7 @@ def flicker_increase(
     return median_estimate(np.array(grown), _MIN_PAIRS) if grown else NOTHING
 
 
-def _alone(
+def _enhance_picture(
     enhancer: Enhancer, picture: np.ndarray, millimetres: np.ndarray, step: PathStep, photo: np.ndarray
 ) -> np.ndarray:
     """A picture (h, w, 3) through the enhancer without earlier ones; non-finite values stay as rendered."""

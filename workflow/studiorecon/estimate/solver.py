@@ -52,7 +52,7 @@ class Solution:
         sides = np.zeros((self.information.shape[0], len(chosen)))
         sides[np.arange(len(chosen)), np.arange(len(chosen))] = 1.0
         found = np.zeros((first, first))
-        found[np.ix_(chosen, chosen)] = _factorised(self.information).solve(sides)[: len(chosen)]
+        found[np.ix_(chosen, chosen)] = _factorise(self.information).solve(sides)[: len(chosen)]
         return (found + found.T) / 2
 
 
@@ -65,7 +65,7 @@ def solve(
     for _ in range(iterations):
         damped = information + damping * sparse.diags_array(information.diagonal() + _UNDETERMINED)
         step = np.zeros(len(unknowns.values))
-        step[free] = -_factorised(damped).solve(side)
+        step[free] = -_factorise(damped).solve(side)
         trial = unknowns.moved(step)
         new_cost = _cost(trial, factors)
         if not new_cost < cost:
@@ -116,7 +116,7 @@ def _normal_equations(
     return normal, jacobian.T @ np.concatenate(sides)
 
 
-def _factorised(matrix: Any) -> Any:
+def _factorise(matrix: Any) -> Any:
     return splu(
         sparse.csc_array(matrix), permc_spec="MMD_AT_PLUS_A", diag_pivot_thresh=0.0, options={"SymmetricMode": True}
     )

@@ -36,7 +36,7 @@ _CONTAINERS = frozenset(
 )
 # Suffixes of theirs that are for sound.
 _SOUND = frozenset({".m4a", ".m4b", ".isma", ".wma", ".ogg", ".ra"})
-# Downloads that did not end.
+# Incomplete downloads.
 _UNFINISHED = frozenset({".part", ".crdownload", ".tmp", ".download"})
 
 

@@ -121,7 +121,7 @@ def _display_matrix(frame: av.VideoFrame) -> tuple[tuple[tuple[int, int], tuple[
     scale = np.abs(matrix).max()
     signs = np.rint(matrix / scale).astype(int) if scale else np.eye(2, dtype=int)
     if sorted(np.abs(signs).sum(0)) != [1, 1] or sorted(np.abs(signs).sum(1)) != [1, 1]:
-        return _UPRIGHT, ["its rotation tag is no turn by quarters: the pictures stay as stored"]
+        return _UPRIGHT, ["its rotation tag is not a multiple of 90°: the pictures stay as stored"]
     (a, b), (c, d) = signs.tolist()
     return ((a, b), (c, d)), ["it is mirrored (rotation tag)"] * (a * d - b * c < 0)
 

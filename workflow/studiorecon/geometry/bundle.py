@@ -254,7 +254,7 @@ class _Problem:
         """Standard deviations without the common similarity."""
         in_camera, error, _ = self.residuals(state)
         blocks, _, point_blocks, _, mixed = self.normal_equations(state, in_camera, error)
-        reduced = _reduced(blocks, _times(mixed, np.linalg.inv(point_blocks + 1e-9 * np.eye(3))), mixed)
+        reduced = _schur_complement(blocks, _times(mixed, np.linalg.inv(point_blocks + 1e-9 * np.eye(3))), mixed)
         norm = np.linalg.norm(error, axis=-1)
         counted = (self.weights / np.maximum(norm, 1.0)).sum()
         variance = float((self.weights / np.maximum(norm, 1.0) * norm**2).sum() / max(2 * counted, 1e-9))
@@ -292,7 +292,7 @@ def _times(mixed: np.ndarray, of_points: np.ndarray) -> np.ndarray:
     return product
 
 
-def _reduced(blocks: np.ndarray, divided: np.ndarray, mixed: np.ndarray) -> np.ndarray:
+def _schur_complement(blocks: np.ndarray, divided: np.ndarray, mixed: np.ndarray) -> np.ndarray:
     """Normal matrix of the cameras only: Schur complement of the points, with mixed blocks ``divided`` by theirs."""
     views = len(blocks)
     system = np.zeros((views, 8, views, 8))
@@ -340,7 +340,7 @@ def _step(equations: tuple[np.ndarray, ...], damping: float) -> tuple[np.ndarray
     divided = _times(mixed, inverse)
     side = camera_side - divided.reshape(views, 8, -1) @ point_side.T.reshape(-1)
     # Columns of radians, metres and fixed numbers differ by 18 powers of ten: solved with a unit diagonal.
-    system = _reduced(blocks, divided, mixed)
+    system = _schur_complement(blocks, divided, mixed)
     unit = 1 / np.sqrt(np.maximum(np.diag(system), 1e-300))
     solved = np.linalg.solve(system * unit[:, None] * unit[None], side.reshape(-1) * unit) * unit
     step_cameras = -solved.reshape(views, 8)

@@ -45,7 +45,7 @@ def crop_hypotheses(lens: Lens, source_wh: tuple[int, int]) -> list[CropHypothes
     """
     if lens.has_place or 0 in lens.wh or same_shape(lens.wh, source_wh):
         return [CropHypothesis(lens, "")]
-    found = list(_padded(lens, source_wh))
+    found = list(_padding_hypotheses(lens, source_wh))
     if not found and same_shape(lens.wh[::-1], source_wh):
         clockwise = rotate_lens_90(lens)
         # Cameras are seldom upside down, so the picture's up points up.
@@ -110,7 +110,7 @@ def for_square_pixels(lens: Lens, stored_wh: tuple[int, int], shown_wh: tuple[in
     return square, f"{named} stored, {stored}, not as shown, {shown}"
 
 
-def _padded(lens: Lens, source_wh: tuple[int, int]) -> Iterator[CropHypothesis]:
+def _padding_hypotheses(lens: Lens, source_wh: tuple[int, int]) -> Iterator[CropHypothesis]:
     calibrated, film = np.array(lens.wh, float), np.array(source_wh, float)
     ratios = film / calibrated
     # The side without padding was scaled by a ratio of small integers.

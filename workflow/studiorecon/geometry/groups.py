@@ -36,7 +36,7 @@ def groups_by_affinity(affinity: Num[np.ndarray, "M M"], forbidden: Bool[np.ndar
     heap: list[tuple[float, list[int], np.ndarray]] = []
     pieces, found = [np.arange(len(affinity))], []
     while pieces or heap:
-        for piece in (p for whole in pieces for p in _connected(whole, affinity, forbidden)):
+        for piece in (p for whole in pieces for p in _connected_parts(whole, affinity, forbidden)):
             score, group = _best_group(affinity[np.ix_(piece, piece)], forbidden[np.ix_(piece, piece)])
             if len(group) > 1:
                 heapq.heappush(heap, (-round(score, _DIGITS), piece[group].tolist(), piece))
@@ -48,7 +48,7 @@ def groups_by_affinity(affinity: Num[np.ndarray, "M M"], forbidden: Bool[np.ndar
     return found
 
 
-def _connected(nodes: np.ndarray, affinity: np.ndarray, forbidden: np.ndarray) -> list[np.ndarray]:
+def _connected_parts(nodes: np.ndarray, affinity: np.ndarray, forbidden: np.ndarray) -> list[np.ndarray]:
     """The connected parts of the nodes, every part ascending."""
     block = np.ix_(nodes, nodes)
     graph = scipy.sparse.csr_array((affinity[block] > 0) & ~forbidden[block])

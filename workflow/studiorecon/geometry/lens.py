@@ -74,11 +74,11 @@ def working_view(lens: Lens, source_wh: tuple[int, int], wh: tuple[int, int]) ->
 
     The picture shows the largest axis-aligned rectangle that the lens covers inside both the video frame and the
     calibrated frame, cut to the aspect of ``wh``. A lens without distortion keeps its whole frame. Pixels that cannot
-    be undistorted are outside of it. Raises UserError as ``unseen_share``.
+    be undistorted are outside of it. Raises UserError as ``rayless_share``.
     """
-    unseen_share(lens, source_wh)
+    rayless_share(lens, source_wh)
     calibration_from_video = calibration_from_video_pixels(lens, source_wh)
-    left, top, right, bottom = _covered(lens, source_wh, calibration_from_video)
+    left, top, right, bottom = _inner_rectangle(lens, source_wh, calibration_from_video)
     # Keep the pixel shape of the calibration and give the rectangle the aspect of the picture.
     aspect = wh[0] / wh[1] * _pixel_aspect(lens, source_wh, wh)
     width, height = right - left, bottom - top
@@ -222,7 +222,7 @@ def _pixel_aspect(lens: Lens, source_wh: tuple[int, int], wh: tuple[int, int]) -
     return stretch * (source_wh[0] / source_wh[1]) / (wh[0] / wh[1])
 
 
-def _covered(
+def _inner_rectangle(
     lens: Lens, source_wh: tuple[int, int], calibration_from_video: np.ndarray
 ) -> tuple[float, float, float, float]:
     """Left, top, right, bottom (undistorted calibration px) of the largest rectangle inside the undistorted footage."""
@@ -290,14 +290,14 @@ def _reach(lens: Lens) -> float:
     return min(float(np.tan(fold)) if lens.model == "fisheye" else fold, float(np.tan(_STEEPEST)))
 
 
-def unseen_share(lens: Lens, source_wh: tuple[int, int]) -> float:
+def rayless_share(lens: Lens, source_wh: tuple[int, int]) -> float:
     """Share of a video's picture beyond the fold of the lens's polynomial, which is not used.
 
     Raises UserError where it is most of the picture, and as ``calibration_from_video_pixels``: every step that rejects
     a lens does so here.
     """
     affine = calibration_from_video_pixels(lens, source_wh)
-    left, top, right, bottom = _covered(lens, source_wh, affine)
+    left, top, right, bottom = _inner_rectangle(lens, source_wh, affine)
     if not (right - left > _MIN_SIDE_PX and bottom - top > _MIN_SIDE_PX):
         raise UserError(
             f"camera {lens.name}: its film of {source_wh[0]}×{source_wh[1]} pixels shows nothing of the calibrated "

@@ -141,7 +141,7 @@ def smooth_vectors(values: Num[np.ndarray, "T ..."], alpha: float, sigma_frames:
     shifts, weights = _windows(len(values), smoothing_kernel(alpha, sigma_frames))
     out = np.zeros_like(values)
     for shift, weight in zip(shifts, weights):
-        out += weight.reshape(-1, *(1,) * (values.ndim - 1)) * values[_shifted(len(values), shift)]
+        out += weight.reshape(-1, *(1,) * (values.ndim - 1)) * values[_shift_frames(len(values), shift)]
     return out
 
 
@@ -172,7 +172,7 @@ def smooth_rotations(
         total = np.zeros_like(centre)
         for other, weight in window:
             total += weight * _turn_per_vector(_dot(centre, other)) * other
-        centre = _turned(centre, _vector(centre, total))
+        centre = _rotate_quaternions(centre, _vector(centre, total))
     return rotations.from_quaternion(np.moveaxis(centre, 0, -1)).reshape(values.shape)
 
 
@@ -203,7 +203,7 @@ def _vector(a: np.ndarray, b: np.ndarray) -> np.ndarray:
     return out
 
 
-def _turned(a: np.ndarray, turn: np.ndarray) -> np.ndarray:
+def _rotate_quaternions(a: np.ndarray, turn: np.ndarray) -> np.ndarray:
     """(4, T, N) unit quaternions a times those of axis-angles (3, T, N)."""
     half = 0.5 * np.sqrt((turn**2).sum(0))
     w, (x, y, z) = np.cos(half), 0.5 * np.sinc(half / np.pi) * turn
@@ -218,7 +218,7 @@ def _turned(a: np.ndarray, turn: np.ndarray) -> np.ndarray:
     return out / np.sqrt((out**2).sum(0))
 
 
-def _shifted(frames: int, shift: int) -> np.ndarray:
+def _shift_frames(frames: int, shift: int) -> np.ndarray:
     return np.clip(np.arange(frames) + shift, 0, frames - 1)
 
 

@@ -13,13 +13,13 @@ from studiorecon.configuration.setting import setting
 class Additions:
     """Measures against ambiguities of four views; ``presets/paper.yaml`` has none of them."""
 
-    behind: Literal["random", "black"] = setting(
+    background: Literal["random", "black"] = setting(
         "random",
         "Background in training: another random colour at every step, or black.",
         paper="not stated; U52",
         paper_value="black",
     )
-    unseen: Literal["filled", "trained"] = setting(
+    unseen_colours: Literal["filled", "trained"] = setting(
         "filled",
         "Unseen Gaussians: filled with the colour of the surrounding body, or as trained.",
         paper="trained, appendix D",
@@ -39,7 +39,7 @@ class Additions:
         paper="0",
         paper_value=0,
     )
-    scales_held: bool = setting(
+    limit_scales: bool = setting(
         True,
         "Keep standard deviations between 0.08 and 1.6 of the Gaussians' spacing.",
         paper="no such limit",

@@ -64,11 +64,11 @@ class Appearance:
         settings: OverTime,
         network: TemporalNetwork,
         seen: Bool[np.ndarray, " N"],
-        judge: Callable[[Callable], Decision],
+        decide: Callable[[Callable], Decision],
     ) -> None:
         self.settings, self.network, self.seen = settings, network, seen
         self.decision: Decision | None = None
-        self._judge, self._active = judge, False
+        self._judge, self._active = decide, False
         self._adam = Adam({"network": network.flat})
 
     @property
@@ -80,7 +80,7 @@ class Appearance:
         """Decide whether the network is used; ``draw`` renders a crop in its current state, (h, w, 3)."""
         if self.settings.use == "auto":
             self.decision = self._judge(draw)
-        self._active = self.settings.use == "always" or (self.decision is not None and self.decision.called_for)
+        self._active = self.settings.use == "always" or (self.decision is not None and self.decision.is_on)
 
     def add_residuals(
         self,

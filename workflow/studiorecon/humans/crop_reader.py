@@ -74,7 +74,7 @@ def read_crops(
         for look in person_crops(
             view,
             camera,
-            exposure.even_all(camera.name, read_frames(video, 0, frames)),
+            exposure.normalise_film(camera.name, read_frames(video, 0, frames)),
             read_frames(mask, 0, frames),
             _surface_over_time(body_model, fitted),
             fitted.valid,

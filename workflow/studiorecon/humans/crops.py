@@ -63,7 +63,7 @@ class SpooledCrop:
     camera: Camera
     spool: Spool
     picture: Slot
-    judged: Slot
+    verdict_slot: Slot
 
     @property
     def rgb(self) -> Integer[np.ndarray, "h w 3"]:
@@ -71,7 +71,7 @@ class SpooledCrop:
 
     @property
     def verdict(self) -> Integer[np.ndarray, "h w"]:
-        return self.spool.get(self.judged)
+        return self.spool.get(self.verdict_slot)
 
 
 @dataclass(frozen=True)

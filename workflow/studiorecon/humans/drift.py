@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING
 import cv2
 import numpy as np
 
-from studiorecon.arrays import evenly_spread, require
+from studiorecon.arrays import require, spread_indices
 from studiorecon.body.avatar.posing import Posing
 from studiorecon.geometry.statistics import NOTHING, Estimate, share_estimate
 from studiorecon.humans.colours import nearest_surface, sample_colours, visible_gaussians
@@ -51,9 +51,9 @@ def track_brightness(
 ) -> Float[np.ndarray, "N M"]:
     """Float64 brightness of photo minus render at every Gaussian, mean of the cameras that show it, NaN for none.
 
-    Columns are the ``tracked_frames``. ``draw`` renders a crop, in 0..1; positions and normals are canonical.
+    Columns are the ``choose_frames``. ``draw`` renders a crop, in 0..1; positions and normals are canonical.
     """
-    columns = {int(frame): column for column, frame in enumerate(tracked_frames(len(motion.local))) if frame >= 0}
+    columns = {int(frame): column for column, frame in enumerate(choose_frames(len(motion.local))) if frame >= 0}
     sums = np.zeros((len(means_m), max(columns.values(), default=-1) + 1))
     weights = np.zeros_like(sums)
     still = np.tile(np.array([1, 0, 0, 0], np.float32), (len(means_m), 1))
@@ -77,11 +77,11 @@ def track_brightness(
     return np.where(weights > 0, sums / np.maximum(weights, 1e-12), np.nan)
 
 
-def tracked_frames(frames: int) -> Integer[np.ndarray, " M"]:
+def choose_frames(frames: int) -> Integer[np.ndarray, " M"]:
     """Tracked frames: all of a clip of up to 240, else ten runs of 24 with a -1 between them, which has no data."""
     if frames <= _MOMENTS:
         return np.arange(frames)
-    starts = evenly_spread(frames - _RUN + 1, _MOMENTS // _RUN)
+    starts = spread_indices(frames - _RUN + 1, _MOMENTS // _RUN)
     runs = [np.r_[np.arange(start, start + _RUN), -1] for start in starts]
     return np.concatenate(runs)[:-1]
 
@@ -116,4 +116,4 @@ def decide_appearance(person: str, estimate: Estimate, threshold: float) -> Deci
         reason = f"the colour of {estimate.value:.0%} of {person}'s body drifts over time after posing"
     # report.audit combines the decisions of all people and names those on whom it acts.
     measured = TEMPORAL_APPEARANCE.decide(estimate.value, estimate.interval, reason, threshold=threshold)
-    return replace(measured, obeyed_by="")
+    return replace(measured, used_by="")

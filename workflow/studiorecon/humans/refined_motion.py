@@ -21,7 +21,7 @@ if TYPE_CHECKING:
 
 _FIRST_DECAY, _SECOND_DECAY = 0.9, 0.99
 # Joints whose turn moves almost no surface, or is invisible in pictures: they keep the fitted pose.
-HELD = (10, 11, 15, 22, 23)
+FIXED_JOINTS = (10, 11, 15, 22, 23)
 """Feet (toes), head, hands."""
 
 _STORED = {
@@ -42,7 +42,7 @@ class RefinedMotion:
         trans_m: Float[np.ndarray, "T 3"],
         rest_joints_m: Float[np.ndarray, "24 3"],
         parents: Integer[np.ndarray, " 24"],
-        held: Sequence[int] = HELD,
+        held: Sequence[int] = FIXED_JOINTS,
     ) -> None:
         self._held = list(held)
         self.local = rotations.exp(np.asarray(poses, np.float64).reshape(-1, 24, 3))

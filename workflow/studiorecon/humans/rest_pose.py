@@ -9,13 +9,13 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from studiorecon.arrays import evenly_spread
+from studiorecon.arrays import spread_indices
 from studiorecon.body.avatar.posing import Posing
 from studiorecon.body.avatar.weight_grid import WeightGrid, all_bone_weights, build_weight_grid, strongest_weights
 from studiorecon.body.model import BodyModel
 from studiorecon.humans.colours import add_evidence, nearest_surface
 from studiorecon.humans.crops import Crop
-from studiorecon.humans.refined_motion import HELD, RefinedMotion
+from studiorecon.humans.refined_motion import FIXED_JOINTS, RefinedMotion
 from studiorecon.humans.surface_samples import (
     SurfaceSamples,
     fill_unseen,
@@ -62,7 +62,7 @@ def initial_colours(
 ) -> tuple[Float[np.ndarray, "N 3"], Bool[np.ndarray, " N"]]:
     """Colours float64 and ``seen`` (N,) bool from up to 160 crops spread over the clip; unseen rows are grey."""
     sums, weights = np.zeros_like(samples.points_m), np.zeros(len(samples.points_m))
-    chosen = evenly_spread(len(crops), _LOOKS, below=True)
+    chosen = spread_indices(len(crops), _LOOKS, below=True)
     points = samples.points_m.astype(np.float32)
     nothing = np.zeros((len(points), 1, 3), np.float32)
     unturned = np.tile(np.array([1, 0, 0, 0], np.float32), (len(points), 1))
@@ -128,7 +128,7 @@ def build_rest_pose(
     samples = initial_samples(rest_m, faces, body_model.weights, settings, rng)
     bones, weights, grid = skinning_weights(samples, rest_m, body_model.weights, settings)
     posing = Posing(bones, weights)
-    held = () if settings.additions.pose_joints == "all" else HELD
+    held = () if settings.additions.pose_joints == "all" else FIXED_JOINTS
     motion = RefinedMotion(fitted.poses, fitted.trans, body_model.rest_joints(fitted.betas), body_model.parents, held)
     colours, seen = initial_colours(samples, posing, motion, crops)
     near, twin = surface_neighbours(samples, NEIGHBOURS), mirror_indices(samples, 2 * samples.spacing_m)

@@ -23,7 +23,7 @@ from studiorecon.humans.crops import Crop
 from studiorecon.scene.files import atomic_path
 from studiorecon.splatting.train.checkpoint import fingerprint
 
-STANDS = "the existing result is kept"
+UP_TO_DATE = "the existing result is kept"
 """How a log says that nothing was trained."""
 
 
@@ -45,7 +45,7 @@ def is_up_to_date(mark: str, gaussians: Path, avatar: Path, working: Path) -> bo
     if read_cache_key(*kept) != mark:
         return False
     for path, last in zip((gaussians, avatar), kept):
-        _linked(last, path)
+        _link_or_copy(last, path)
         path.touch()
     return True
 
@@ -53,14 +53,14 @@ def is_up_to_date(mark: str, gaussians: Path, avatar: Path, working: Path) -> bo
 def store_result(gaussians: Path, avatar: Path, working: Path) -> None:
     """Copy the trained files to ``working``, because a workflow deletes the outputs of steps it runs again."""
     for path in (gaussians, avatar):
-        _linked(path, _cached_path(path, working))
+        _link_or_copy(path, _cached_path(path, working))
 
 
 def _cached_path(path: Path, working: Path) -> Path:
     return working / f"last{path.suffix}"
 
 
-def _linked(source: Path, target: Path) -> None:
+def _link_or_copy(source: Path, target: Path) -> None:
     """Link ``target`` to ``source``, or copy it where the file system has no such links."""
     target.parent.mkdir(parents=True, exist_ok=True)
     with atomic_path(target) as partial:

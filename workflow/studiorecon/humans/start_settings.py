@@ -20,7 +20,7 @@ class StartSettings:
         paper="6890, appendix D",
         paper_value=6890,
     )
-    placed: Literal["evenly", "vertices"] = setting(
+    placement: Literal["evenly", "vertices"] = setting(
         "evenly",
         "Start of Gaussians: evenly over the surface, or one at every vertex of the body model.",
         paper="at SMPL's vertices, appendix D",

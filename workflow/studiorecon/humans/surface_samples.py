@@ -65,7 +65,7 @@ def initial_samples(
     rng: np.random.Generator,
 ) -> SurfaceSamples:
     """Start positions of a person's Gaussians, by the settings."""
-    if how.placed == "vertices":
+    if how.placement == "vertices":
         return vertex_samples(vertices_m, faces, weights)
     return sample_surface(vertices_m, faces, weights, how.gaussians, rng)
 

@@ -29,7 +29,7 @@ from studiorecon.humans.crop_reader import read_crops
 from studiorecon.humans.crops import Crop
 from studiorecon.humans.drift import decide_appearance, drifting_share, track_brightness
 from studiorecon.humans.rest_pose import NEIGHBOURS, RestPose, build_rest_pose
-from studiorecon.humans.result_cache import STANDS, cache_key, is_up_to_date, store_result
+from studiorecon.humans.result_cache import UP_TO_DATE, cache_key, is_up_to_date, store_result
 from studiorecon.humans.surface_samples import (
     fill_unseen,
     mirror_indices,
@@ -105,13 +105,13 @@ def run(
     weights of the perceptual term.
     """
     device = resolve(device)
-    fitted, body_model = _fitted(sources.fit, sources.body)
+    fitted, body_model = _read_fit(sources.fit, sources.body)
     crops = _crops(settings, person, sources, fitted, body_model, working)
     about = code.digest("humans.train"), threads, person, device
     # The interval of checkpoints changes no byte of the result.
     trained_from = cache_key(replace(settings, checkpoint_every_s=0.0), crops, [sources.fit, sources.body], *about)
     if is_up_to_date(trained_from, gaussians, avatar, working):
-        say(f"{person}: its {len(crops)} crops, fit and settings have not changed; {STANDS}")
+        say(f"{person}: its {len(crops)} crops, fit and settings have not changed; {UP_TO_DATE}")
         return
     rng = np.random.default_rng(settings.seed)
     rest = build_rest_pose(settings, person, fitted, body_model, crops, rng)
@@ -120,7 +120,7 @@ def run(
     appearance = _appearance(settings, rest, fitted, crops)
     # Smoothness limits a joint's speed: between frames further apart in time the joint turns further.
     losses = replace(settings.losses, pose=settings.losses.pose * (fitted.fps / _POSE_FPS) ** 2)
-    subject = _in_training(settings, rest, losses, crops, threads, rng, appearance, device)
+    subject = _training_subject(settings, rest, losses, crops, threads, rng, appearance, device)
     terms = active_terms(losses, _network(settings, lpips, threads, device))
     train(subject, terms, (0, settings.iterations), rng, label=person, checkpoint=checkpoint, previews=working)
     if subject.adam.refused:
@@ -136,7 +136,7 @@ def _crops(
     """Crops around the person, as the training cameras saw them; UserError where there are none."""
     cameras, frames = read_model(sources.model.parent), read_manifest(sources.manifest).frames
     require_one_each(cameras, videos=sources.videos, masks=sources.masks)
-    label = _checked(settings, person, sources.people) + 1
+    label = _person_index(settings, person, sources.people) + 1
     even = read_factors(sources.exposure, frames)
     about = fitted, body_model, label, frames, working, even
     crops = read_crops(settings, cameras, sources.videos, sources.masks, *about)
@@ -149,7 +149,7 @@ def _crops(
     return crops
 
 
-def _checked(settings: Settings, person: str, people: Path) -> int:
+def _person_index(settings: Settings, person: str, people: Path) -> int:
     """Index of the person in ``people``; UserError for contradictory settings or an unknown name."""
     if settings.sh_degree > MAX_SH_DEGREE:
         raise UserError(
@@ -167,7 +167,7 @@ def _checked(settings: Settings, person: str, people: Path) -> int:
     return names.index(person)
 
 
-def _fitted(fit: Path, body: Path) -> tuple[Person, BodyModel]:
+def _read_fit(fit: Path, body: Path) -> tuple[Person, BodyModel]:
     """The fitted person and the body model; UserError where the person was fitted with another one."""
     fitted, body_model = read_person(fit), BodyModel.load(body)
     if fitted.body != body_model.identity:
@@ -178,7 +178,7 @@ def _fitted(fit: Path, body: Path) -> tuple[Person, BodyModel]:
     return fitted, body_model
 
 
-def _in_training(
+def _training_subject(
     settings: Settings,
     rest: RestPose,
     losses: Losses,
@@ -231,7 +231,7 @@ def _avatar(
     )
     same = np.array_equal(source, np.arange(rest.start.count))
     seen, surface = rest.seen[source], samples if same else grown
-    if settings.additions.unseen == "filled":
+    if settings.additions.unseen_colours == "filled":
         near, twin = surface_neighbours(surface, NEIGHBOURS), mirror_indices(surface, 2 * samples.spacing_m)
         trained = recolour_unseen(trained, seen, near, twin)
     moved_mm = 1000 * np.linalg.norm(trained.means_m - rest.start.means_m[source], axis=1)
@@ -267,8 +267,8 @@ def _appearance(settings: Settings, rest: RestPose, fitted: Person, crops: Seque
     # A separate generator: with and without the network, the crops are drawn in the same order.
     rng = np.random.default_rng([settings.seed, 1])
     points = settings.temporal.points
-    everywhere = settings.additions.unseen == "trained"
-    acts_on = np.ones_like(rest.seen) if everywhere else rest.seen
+    move_unseen = settings.additions.unseen_colours == "trained"
+    acts_on = np.ones_like(rest.seen) if move_unseen else rest.seen
     control = ControlPoints.on(rest.samples.points_m[acts_on], points) if points and acts_on.any() else None
     network = TemporalNetwork.start(
         rest.vertices_m.min(axis=0) - reach,
@@ -277,11 +277,11 @@ def _appearance(settings: Settings, rest: RestPose, fitted: Person, crops: Seque
         rng,
         *shape,
         control,
-        every_band=settings.temporal.bands == "all",
-        everywhere=everywhere,
+        use_all_bands=settings.temporal.bands == "all",
+        move_unseen=move_unseen,
     )
 
-    def judge(draw: Callable[[Crop], np.ndarray]) -> Decision:
+    def decide(draw: Callable[[Crop], np.ndarray]) -> Decision:
         samples = rest.samples
         residual = track_brightness(
             crops, draw, rest.posing, rest.motion, samples.points_m, samples.normals, samples.spacing_m
@@ -290,7 +290,7 @@ def _appearance(settings: Settings, rest: RestPose, fitted: Person, crops: Seque
         say(f"temporal network: {decision.verdict}; {decision.reason}")
         return decision
 
-    return Appearance(settings.temporal, network, acts_on, judge)
+    return Appearance(settings.temporal, network, acts_on, decide)
 
 
 def _network(settings: Settings, lpips: Path, threads: int, device: str) -> Perceptual | None:

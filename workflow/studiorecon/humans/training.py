@@ -239,7 +239,7 @@ class PersonInTraining:
     def draw(self, iteration: int) -> PlaneView:
         """The view of a crop, posed and rendered over a random colour, or black."""
         self._crop = self._crops[int(self._rng.integers(len(self._crops)))]
-        behind = self._rng.random(3) if self._additions.behind == "random" else np.zeros(3)
+        behind = self._rng.random(3) if self._additions.background == "random" else np.zeros(3)
         planes = self._rasteriser.forward_planes(self._posed(self._crop), self._crop.camera, behind.tolist())
         return PlaneView(training_target(self._crop, behind), iteration, self._rng, planes, np.zeros_like(planes))
 
@@ -281,7 +281,7 @@ class PersonInTraining:
             self._appearance.step(grad_sh[:, :1], back.logit_opacities)
         self.adam.step(gradients, rates.at(iteration / self._iterations), back.screen > 0)
         # A needle at a joint or a wide, flat Gaussian over the chest fits four views and spoils the fifth.
-        if self._additions.scales_held:
+        if self._additions.limit_scales:
             np.clip(own["scales"], *self._scale_range, out=own["scales"])
         if self._growing.densifies(iteration + 1, self._iterations):
             self._grow(iteration + 1, back.screen)

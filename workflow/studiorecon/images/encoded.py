@@ -18,12 +18,12 @@ if TYPE_CHECKING:
 
 def png(picture: Shaped[np.ndarray, "H W ..."]) -> bytes:
     """Grey, RGB or RGBA picture, uint8 or uint16, as a PNG file. Raises ValueError for other arrays."""
-    return _encoded(".png", picture, [])
+    return _encode(".png", picture, [])
 
 
 def jpeg(picture: Shaped[np.ndarray, "H W ..."], quality: int) -> bytes:
     """Grey or RGB picture as a JPEG file of ``quality`` 0 to 100. Raises ValueError for other arrays."""
-    return _encoded(".jpg", picture, [cv2.IMWRITE_JPEG_QUALITY, quality])
+    return _encode(".jpg", picture, [cv2.IMWRITE_JPEG_QUALITY, quality])
 
 
 def write_png(path: Path, picture: Shaped[np.ndarray, "H W ..."]) -> None:
@@ -35,7 +35,7 @@ def write_png(path: Path, picture: Shaped[np.ndarray, "H W ..."]) -> None:
         partial.write_bytes(png(picture))
 
 
-def _encoded(suffix: str, picture: np.ndarray, options: list[int]) -> bytes:
+def _encode(suffix: str, picture: np.ndarray, options: list[int]) -> bytes:
     require("picture", picture, ("H", "W", ...))
     colour = np.concatenate([picture[..., 2::-1], picture[..., 3:]], axis=-1) if picture.ndim == 3 else picture
     done, data = cv2.imencode(suffix, np.ascontiguousarray(colour), options)

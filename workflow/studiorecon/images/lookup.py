@@ -71,7 +71,7 @@ def find_visible_pixels(
 
 
 @numba.njit(cache=True, nogil=True)
-def add_read(
+def accumulate_samples(
     picture: Num[np.ndarray, "h w 3"],
     pixels: Num[np.ndarray, "H W 2"],
     weight: Num[np.ndarray, "H W"],

@@ -38,18 +38,18 @@ def light_factors(frames: Integer[np.ndarray, "T H W 3"], free: Bool[np.ndarray,
     valid = free[grid].reshape(len(frames), -1) & ((levels > _DARKEST) & (levels < _BRIGHTEST)).all(axis=-1)
     usual = valid.sum(axis=0) >= len(frames) / 2
     levels, valid = np.log(np.maximum(levels[:, usual], 1.0)), valid[:, usual]
-    tells = valid.sum(axis=1) >= _MIN_PIXELS
+    is_measured = valid.sum(axis=1) >= _MIN_PIXELS
     factors = np.ones((len(frames), 3))
-    seen = valid[tells].any(axis=0)
+    seen = valid[is_measured].any(axis=0)
     if not seen.any():
         return factors
-    logs = np.where(valid[..., None], levels, np.nan)[tells][:, seen]
+    logs = np.where(valid[..., None], levels, np.nan)[is_measured][:, seen]
     gains = np.zeros((len(logs), 3))
     for _ in range(_ROUNDS):
         room = np.nanmedian(logs - gains[:, None], axis=0)
         gains = np.nanmedian(logs - room, axis=1)
         gains -= np.median(gains, axis=0)
-    factors[tells] = np.exp(gains)
+    factors[is_measured] = np.exp(gains)
     return factors
 
 

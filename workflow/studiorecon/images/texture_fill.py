@@ -73,7 +73,7 @@ def fill_by_texture(
     light = low_frequency_light(rgb, known, scale.light)
     detail = np.where(known[..., None], rgb - light, 0.0)
     shifts = texture_periods(detail, known, scale, rng)
-    copied, reached = _copied(detail, known, shifts, scale.patch // 2)
+    copied, reached = _copy_patches(detail, known, shifts, scale.patch // 2)
     painted = np.where(reached[..., None], light + copied, light)
     return np.where(known[..., None], rgb, np.clip(painted, 0, 1))
 
@@ -126,8 +126,8 @@ def texture_periods(
     _, directions = np.linalg.eigh(patches.T @ patches)
     described = patches @ directions[:, -_COMPONENTS:]
     asking = rng.permutation(len(rows))[:_ASKING]
-    _, alike = scipy.spatial.cKDTree(described).query(described[asking], k=min(_NEIGHBOURS, len(rows)))
-    apart = np.stack([at[alike] - at[asking][:, None] for at in (rows, columns)], axis=-1)
+    _, neighbours = scipy.spatial.cKDTree(described).query(described[asking], k=min(_NEIGHBOURS, len(rows)))
+    apart = np.stack([at[neighbours] - at[asking][:, None] for at in (rows, columns)], axis=-1)
     far = np.abs(apart).max(axis=-1) >= scale.shift
     first = apart[np.arange(len(asking)), far.argmax(axis=1)][far.any(axis=1)]
     height, width = known.shape
@@ -141,7 +141,7 @@ def texture_periods(
 
 
 @njit(cache=True)
-def _copied(detail, known, shifts, half):
+def _copy_patches(detail, known, shifts, half):
     """(H, W, 3) detail with its holes filled, and (H, W) bool where it is known or was filled."""
     height, width = known.shape
     out, done, trust = detail.copy(), known.copy(), known.astype(np.float64)

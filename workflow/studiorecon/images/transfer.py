@@ -17,7 +17,7 @@ import cv2
 import numpy as np
 
 from studiorecon.images.blur import gaussian_blur
-from studiorecon.images.lookup import add_read, find_visible_pixels
+from studiorecon.images.lookup import accumulate_samples, find_visible_pixels
 from studiorecon.scene.camera import Camera
 
 if TYPE_CHECKING:
@@ -98,7 +98,7 @@ def transfer_residual(
             transfer.depth_tolerance,
             transfer.angle_power,
         )
-        add_read(one.residual, pixels, _feather(seen, transfer.feather_px) * closeness, total, weights, cover)
+        accumulate_samples(one.residual, pixels, _feather(seen, transfer.feather_px) * closeness, total, weights, cover)
     return total / np.maximum(weights, 1e-9)[..., None], cover
 
 

@@ -40,7 +40,7 @@ def sample(
     if how == "nearest":
         rows, columns, inside = nearest_pixels(pixels, image.shape[:2])
         return image[rows, columns], inside
-    column, row, inside = _pulled_inside(pixels, image.shape[:2], 0.5)
+    column, row, inside = _clamp_inside(pixels, image.shape[:2], 0.5)
     as_float = image if image.dtype in (np.float32, np.float64) else image.astype(np.float32)
     x, y = (column - 0.5).astype(np.float32), (row - 0.5).astype(np.float32)
     return _remap(as_float, x, y, _FILTERS[how]), inside
@@ -51,13 +51,13 @@ def nearest_pixels(
 ) -> tuple[Integer[np.ndarray, "h w"], Integer[np.ndarray, "h w"], Bool[np.ndarray, "h w"]]:
     """Rows and columns that ``sample(…, "nearest")`` reads in a picture of size ``hw``, and which are valid."""
     height, width = hw
-    column, row, inside = _pulled_inside(pixels, hw, 0.0)
+    column, row, inside = _clamp_inside(pixels, hw, 0.0)
     columns = np.minimum(np.floor(column).astype(np.intp), width - 1)
     rows = np.minimum(np.floor(row).astype(np.intp), height - 1)
     return rows, columns, inside
 
 
-def _pulled_inside(
+def _clamp_inside(
     pixels: np.ndarray, hw: tuple[int, ...], margin_px: float
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Columns and rows, and where they are finite and at least ``margin_px`` within the picture's edge.
@@ -97,12 +97,12 @@ def warp(
         return sample(image, np.stack([columns, rows], axis=-1) + flow, how)
     require("image", image, ("H", "W", ...))
     as_float = image if image.dtype in (np.float32, np.float64) else image.astype(np.float32)
-    x, y, inside = _displaced(np.ascontiguousarray(flow))
+    x, y, inside = _displacement_maps(np.ascontiguousarray(flow))
     return cv2.remap(as_float, x, y, _FILTERS[how], borderMode=cv2.BORDER_REPLICATE), inside
 
 
 @numba.njit(cache=True, nogil=True)
-def _displaced(flow: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+def _displacement_maps(flow: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Column and row, float32, that ``remap`` reads for p + flow(p), and where they are inside as in ``sample``."""
     height, width = flow.shape[:2]
     x, y = np.empty((height, width), np.float32), np.empty((height, width), np.float32)

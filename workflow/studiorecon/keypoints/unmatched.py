@@ -37,8 +37,8 @@ def without_motion(
     if np.median(np.nanmax(shown, axis=-1) - np.nanmin(shown, axis=-1)) < _MIN_TALL:
         return []
     return [
-        f"people move in the keypoints of camera {camera}, and nothing of their size does in its pictures: see whether "
-        "film and keypoints are of one take"
+        f"people move in the keypoints of camera {camera}, but nothing of their size moves in its pictures: check "
+        "that film and keypoints are of one take"
     ]
 
 
@@ -52,8 +52,8 @@ def without_people(
     if (~somebody).mean() < _MIN_UNSEEN or np.median(moves[~somebody]) < 0.5 * np.median(moves[somebody]):
         return []
     return [
-        f"the keypoints of camera {camera} hold nobody in {(~somebody).mean():.0%} of its film's frames, in which as "
-        "much moves as in the others: see whether some of them are missing"
+        f"the keypoints of camera {camera} have no person in {(~somebody).mean():.0%} of its film's frames, although "
+        "as much moves there as in the others: check whether some keypoints are missing"
     ]
 
 
@@ -67,8 +67,8 @@ def without_record(camera: str, recorded: Integer[np.ndarray, " P"], frames: int
     listed = ", ".join(f"{first}–{last}" for first, last in gaps[:3])
     more = f" and {len(gaps) - 3} more stretches" if len(gaps) > 3 else ""
     return [
-        f"the keypoints of camera {camera} have no entry for frames {listed}{more} of its film's {frames}: see whether "
-        "a part of them is missing"
+        f"the keypoints of camera {camera} have no entry for frames {listed}{more} of its film's {frames}: check "
+        "whether a file is missing"
     ]
 
 
@@ -97,7 +97,7 @@ def without_match(
         return []
     return [
         f"the keypoints of camera {camera} match the motion in its pictures, except in frames {frame[first]}–"
-        f"{frame[stop - 1]}: see whether those are of another camera or take"
+        f"{frame[stop - 1]}: check whether those are of another camera or take"
     ]
 
 

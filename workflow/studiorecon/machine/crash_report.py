@@ -26,7 +26,7 @@ def fault_sentence(error: BaseException, log: Path | None) -> str:
         place = f" in {file.as_posix()}, line {lines[ours[-1]]}"
     read = _file_at_hand(frames)
     return (
-        f"a fault of the program, not of your files ({what}{place}{f'; at hand was {read}' if read else ''}); please "
+        f"a fault of the program, not of your files ({what}{place}{f', while reading {read}' if read else ''}); please "
         f"report it by the form {_FORM}{f', with {log}, which has the whole trace' if log else ''}"
     )
 

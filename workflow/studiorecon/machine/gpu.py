@@ -52,10 +52,10 @@ def visible_gpus() -> list[str]:
         return [name.strip() for name in given.split(",") if name.strip()]
     if shutil.which("nvidia-smi") is None:
         return []
-    asked = subprocess.run(
+    answer = subprocess.run(
         ["nvidia-smi", "--query-gpu=uuid", "--format=csv,noheader"], text=True, stdout=subprocess.PIPE
     )
-    return asked.stdout.split() if asked.returncode == 0 else []
+    return answer.stdout.split() if answer.returncode == 0 else []
 
 
 def first_free(devices: Sequence[str], folder: Path) -> tuple[str, TextIO | None]:

@@ -7,7 +7,7 @@ import platform
 import traceback
 from pathlib import Path
 
-OWN = Path(__file__).parents[1]
+PACKAGE = Path(__file__).parents[1]
 """The package itself."""
 EXTRAS = {
     "torch": "networks",
@@ -24,7 +24,7 @@ environment.
 """
 
 
-SOME_MACHINES = ("pycolmap", "embreex", "ezc3d")
+WITHOUT_WHEELS = ("pycolmap", "embreex", "ezc3d")
 """Libraries without a wheel for every processor (pyproject.toml says which)."""
 
 
@@ -35,7 +35,7 @@ def missing_library(error: BaseException) -> str | None:
     """
     if isinstance(error, ImportError) and error.name:
         library = error.name.partition(".")[0]
-        return library if library != OWN.name else None
+        return library if library != PACKAGE.name else None
     stack = traceback.extract_tb(error.__traceback__)
     frames = [frame.filename for frame in stack]
     # The importer's own frames are mostly missing in the stack.
@@ -45,7 +45,7 @@ def missing_library(error: BaseException) -> str | None:
     )
     if not isinstance(error, ImportError) and not (isinstance(error, OSError) and error.errno is None and importing):
         return None
-    ours = max((k for k, name in enumerate(frames) if Path(name).is_relative_to(OWN)), default=-1)
+    ours = max((k for k, name in enumerate(frames) if Path(name).is_relative_to(PACKAGE)), default=-1)
     for name in frames[ours + 1 :]:
         _, installed, inside = name.replace("\\", "/").rpartition("site-packages/")
         if installed:
@@ -58,6 +58,6 @@ def install_remedy(library: str) -> str:
     extra = EXTRAS.get(library.partition(".")[0])
     if extra:
         return f"install the extra {extra}: uv sync --inexact --extra {extra}, or pip install 'studiorecon[{extra}]'"
-    if library in SOME_MACHINES and platform.machine() != "x86_64":
+    if library in WITHOUT_WHEELS and platform.machine() != "x86_64":
         return f"it has no wheel for this processor ({platform.machine()}): build it from its source, or use another"
     return "it belongs to the plain environment: uv sync --inexact"

@@ -67,7 +67,7 @@ def describe_resource_error(error: BaseException) -> str | None:
     if number in _FAILING:
         return f"the disk or its network does not answer ({why}); when it does, run again: {_KEPT}"
     if number in _NO_NAME:
-        return f"{_shortened(why)}: this name leads to no file; name another one"
+        return f"{_shorten(why)}: this name leads to no file; name another one"
     if number in _OPEN:
         return f"too many files are open ({why}); allow more (ulimit -n 4096), and run again: {_KEPT}"
     if isinstance(error, EOFError | ValueError) and _cuts_byte_code(error):
@@ -87,7 +87,7 @@ def memory_note() -> str | None:
         return None
     if allowed == resource.RLIM_INFINITY or found is None or int(found.group(1)) * 1024 < _MAX * allowed:
         return None
-    return f"{allowed / 1e6:.0f} MB of memory are allowed here (ulimit -v) and it came to their end, which may be why"
+    return f"this process may use {allowed / 1e6:.0f} MB of memory (ulimit -v) and has used nearly all of it"
 
 
 def _cuts_byte_code(error: BaseException) -> bool:
@@ -97,7 +97,7 @@ def _cuts_byte_code(error: BaseException) -> bool:
     return at is not None and at.tb_frame.f_code.co_filename == "<frozen importlib._bootstrap_external>"
 
 
-def _shortened(text: str) -> str:
+def _shorten(text: str) -> str:
     """The ends of a long text: names may have thousands of characters."""
     return text if len(text) < 200 else f"{text[:60]} … {text[-80:]}"
 

@@ -28,30 +28,30 @@ class DetectorMasks:
     """The detector's masks of one camera's people, on the working picture.
 
     Attributes:
-        found: the detector's file, with masks.
+        detections: the detector's file, with masks.
         rows: (frame, person) → row of the file.
         in_footage: pixels of the footage at the working pixels' centres.
     """
 
-    found: RawDetections
+    detections: RawDetections
     rows: Mapping[tuple[int, str], int]
     in_footage: Float[np.ndarray, "H W 2"]
 
     def evidence(self, frame: int, names: Sequence[str]) -> Float[np.ndarray, "H W"]:
         """Float32 log-odds that one of ``names`` is at a pixel: the most confident mask; 0 where no mask reaches."""
         total = np.zeros(self.in_footage.shape[:2], np.float32)
-        heard = np.zeros(total.shape, bool)
+        covered = np.zeros(total.shape, bool)
         for row in (self.rows[frame, name] for name in names if (frame, name) in self.rows):
-            affine = self.found.mask_from_picture[row]
+            affine = self.detections.mask_from_picture[row]
             place = (self.in_footage @ affine[:, :2].T + affine[:, 2] - 0.5).astype(np.float32)
-            mask = self.found.mask[row].astype(np.float32) / 255
+            mask = self.detections.mask[row].astype(np.float32) / 255
             sure = cv2.remap(
                 mask, place[..., 0], place[..., 1], cv2.INTER_LINEAR, borderMode=cv2.BORDER_CONSTANT, borderValue=-1.0
             )
             inside = sure >= 0
-            said = np.clip(np.log(np.maximum(sure, 1e-3) / np.maximum(1 - sure, 1e-3)), -_MAX, _MAX)
-            total = np.where(inside, np.where(heard, np.maximum(total, said), said), total)
-            heard |= inside
+            log_odds = np.clip(np.log(np.maximum(sure, 1e-3) / np.maximum(1 - sure, 1e-3)), -_MAX, _MAX)
+            total = np.where(inside, np.where(covered, np.maximum(total, log_odds), log_odds), total)
+            covered |= inside
         return total
 
 

@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING
 import cv2
 import numpy as np
 
-from studiorecon.arrays import evenly_spread
+from studiorecon.arrays import spread_indices
 from studiorecon.body.model import BodyModel
 from studiorecon.configuration.setting import setting
 from studiorecon.footage.video import read_frames, to_float
@@ -176,7 +176,7 @@ class Film:
         return self.count
 
     def __iter__(self) -> Iterator[Integer[np.ndarray, "H W 3"]]:
-        return self.brightness.even_all(self.camera, read_frames(self.video, 0, self.count))
+        return self.brightness.normalise_film(self.camera, read_frames(self.video, 0, self.count))
 
 
 @dataclass(frozen=True)
@@ -207,7 +207,7 @@ def segment(
 ) -> Iterator[Integer[np.ndarray, "H W"]]:
     """Labels of every frame; pixels of ``things`` are unassigned; ``seen``: the detector's masks."""
     plate = Plate(plate_rgb, measured, np.zeros(measured.shape, np.float32))
-    chosen = evenly_spread(len(frames), _UNREST_FRAMES)
+    chosen = spread_indices(len(frames), _UNREST_FRAMES)
     free = []
     for t in chosen:
         distances = person_evidence(bodies.depths(t), bodies.camera, [True] * len(bodies.people), settings.outline)[1]

@@ -50,7 +50,7 @@ class Plate:
 
     rgb: Float[np.ndarray, "H W 3"]
     measured: Bool[np.ndarray, "H W"]
-    unrest: Float[np.ndarray, "H W"]
+    variability: Float[np.ndarray, "H W"]
 
 
 def colour_difference(
@@ -76,7 +76,7 @@ def difference_evidence(
     (behind furniture), while a single matching pixel inside a shirt is chance.
     """
     # Unrest is noise; a larger difference than a person needs is an object that left, not noise.
-    quiet = difference - np.minimum(plate.unrest, settings.threshold)
+    quiet = difference - np.minimum(plate.variability, settings.threshold)
     own = cv2.GaussianBlur(quiet, (3, 3), 0)
     strongest = cv2.dilate(own, np.ones((_EDGE_PX, _EDGE_PX), np.uint8))
     threshold = np.maximum(settings.threshold, settings.edge * strongest)

@@ -110,15 +110,15 @@ def run(
     if given:
         brought = read_given(given[0], film.footage, film.calibration, frames)
         labels, described = label_given_masks(brought, bodies, len(persons), settings.outline.gate_m, own)
-        said = f"masks of {given[0].name} are used as they are; {described}"
+        sentence = f"masks of {given[0].name} are used as they are; {described}"
     elif tracks:
-        labels, said = assign_people(Numbers(tracks[0], frames, own.hw), bodies, len(persons))
+        labels, sentence = assign_people(Numbers(tracks[0], frames, own.hw), bodies, len(persons))
     else:
         plate = read_plate(film.plate, own.wh)
-        labels, said = _by_plate(settings, film, plate, bodies, hints), ""
+        labels, sentence = _by_plate(settings, film, plate, bodies, hints), ""
     write_lossless(masks, count_labels(labels, pixels), persons[0].fps if persons else 30.0)
-    said = said or describe_labels(pixels, [f.name for f in persons], float(plate[1].mean()))
-    say(f"{camera}: {said}")
+    sentence = sentence or describe_labels(pixels, [f.name for f in persons], float(plate[1].mean()))
+    say(f"{camera}: {sentence}")
 
 
 def _bodies(fits: Sequence[Path], body: Path, camera: Camera, frames: int) -> Bodies:

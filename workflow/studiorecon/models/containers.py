@@ -46,17 +46,18 @@ def find_engine() -> str:
     import shutil
     import subprocess
 
-    said = []
+    reasons = []
     for name, question in _ENGINES.items():
         if shutil.which(name) is None:
-            said.append(f"{name} is not installed")
+            reasons.append(f"{name} is not installed")
             continue
         done = subprocess.run([name, *question], text=True, stdout=subprocess.PIPE, stderr=subprocess.STDOUT)
         if done.returncode == 0:
             return name
-        said.append(f"{name} does not work here ({(done.stdout.strip().splitlines() or ['it said nothing'])[-1]})")
+        reasons.append(f"{name} does not work here ({(done.stdout.strip().splitlines() or ['no message'])[-1]})")
     raise UserError(
-        f"no image can be built on this machine: {'; '.join(said)}; install one of them, or run without --sdm apptainer"
+        f"no image can be built on this machine: {'; '.join(reasons)}; install one of them, or run without "
+        "--sdm apptainer"
     )
 
 
@@ -125,7 +126,7 @@ def _call(command: list[str], root: Path, image: ContainerImage) -> str:
     done = subprocess.run(command, cwd=root, text=True, stdout=subprocess.PIPE, stderr=subprocess.STDOUT)
     if done.returncode:
         tail = " / ".join(line.strip() for line in done.stdout.splitlines()[-4:] if line.strip())
-        raise UserError(f"image {image.name} could not be built by {command[0]} ({tail[-600:] or 'it said nothing'})")
+        raise UserError(f"image {image.name} could not be built by {command[0]} ({tail[-600:] or 'no message'})")
     return done.stdout
 
 

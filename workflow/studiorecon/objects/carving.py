@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 import scipy
 
-from studiorecon.arrays import evenly_spread
+from studiorecon.arrays import spread_indices
 from studiorecon.images.warp import sample
 from studiorecon.objects.residual import ROOM
 from studiorecon.objects.rigid import ObjectCrop, mean_colours, outline_reach_m
@@ -105,4 +105,4 @@ def init_carved_surface(looks: Sequence[ObjectCrop], count: int) -> tuple[Gaussi
 
 
 def _spread(looks: Sequence[ObjectCrop]) -> list[ObjectCrop]:
-    return [looks[i] for i in evenly_spread(len(looks), _LOOKS, below=True)]
+    return [looks[i] for i in spread_indices(len(looks), _LOOKS, below=True)]

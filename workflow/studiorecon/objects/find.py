@@ -31,7 +31,7 @@ from studiorecon.objects.residual import (
     loose_regions,
     pixel_states,
     shadow_free_difference,
-    usual_difference,
+    typical_difference,
 )
 from studiorecon.objects.rigid import (
     ObjectCrop,
@@ -95,7 +95,7 @@ class ObjectView:
     video: Path
     plate: Float[np.ndarray, "H W 3"]
     measured: Bool[np.ndarray, "H W"]
-    usual: Float[np.ndarray, "H W"]
+    typical: Float[np.ndarray, "H W"]
 
 
 def find_objects(
@@ -115,7 +115,7 @@ def find_objects(
     alone = np.zeros(len(views), int)
     for frame, (pictures, explained) in enumerate(moments):
         shown = [
-            pixel_states(shadow_free_difference(p, v.plate, settings.loose), v.usual, v.measured, e, settings.loose)
+            pixel_states(shadow_free_difference(p, v.plate, settings.loose), v.typical, v.measured, e, settings.loose)
             for p, v, e in zip(pictures, views, explained)
         ]
         loose: list[list[ResidualRegion]] = [
@@ -128,8 +128,8 @@ def find_objects(
     for camera, count in zip(cameras, alone):
         if count:
             say(
-                f"{camera.name}: in {count} of {frames} frames no second camera confirms a difference to the plate; "
-                "it is left out"
+                f"{camera.name}: in {count} of {frames} frames no second camera confirms a difference from the plate, "
+                "which is ignored"
             )
     made_objects: list[RigidObject] = []
     for track in link_sightings(found, fps, settings.follow):
@@ -137,7 +137,7 @@ def find_objects(
         where = f"frames {track[0][0]} to {track[-1][0]}"
         looks = unoccluded_crops(result, cameras) if isinstance(result, ObjectTrack) else []
         if isinstance(result, ObjectTrack) and looks:
-            thing = _made(f"o{len(made_objects)}", result, looks, cameras, fps, settings, threads)
+            thing = _model_object(f"o{len(made_objects)}", result, looks, cameras, fps, settings, threads)
             if thing is not None:
                 made_objects.append(thing)
                 continue
@@ -145,13 +145,13 @@ def find_objects(
             say(f"an object in {where} is left out: {result if isinstance(result, str) else 'no crop shows all of it'}")
     if not made_objects:
         say(
-            f"no object is seen by two cameras for {settings.follow.min_s:g} s: films show none. Your own clean plates "
+            f"no two cameras see an object for {settings.follow.min_s:g} s, so films show none; clean plates "
             "(plates/CAMERA.png) and more cameras help"
         )
     return made_objects
 
 
-def _made(
+def _model_object(
     name: str,
     track: ObjectTrack,
     looks: Sequence[ObjectCrop],
@@ -170,22 +170,22 @@ def _made(
         return None
     gaussians, provenance = train_object(taught, start, track.radius_m, settings.shape, rng, threads, name)
     still = RigidObject(name, gaussians, provenance, track.centres_m, track.valid, track.present, track.radius_m)
-    thing, turning = _turning(still, track, looks, keys, cameras, fps, settings, threads) or (
+    thing, turning = _track_rotation(still, track, looks, keys, cameras, fps, settings, threads) or (
         still,
-        "how it turns is not determined",
+        "its rotation is undetermined",
     )
-    judged = [crop_at_pose(look, cameras, thing.pose_at(look.frame)) for look in apart if thing.valid[look.frame]]
-    agreement_db = -10 * np.log10(max(mean_squared_errors(thing.gaussians, judged, threads)[0], 1e-10))
+    validation = [crop_at_pose(look, cameras, thing.pose_at(look.frame)) for look in apart if thing.valid[look.frame]]
+    agreement_db = -10 * np.log10(max(mean_squared_errors(thing.gaussians, validation, threads)[0], 1e-10))
     between, unknown = int((thing.present & ~thing.valid).sum()), int((~thing.present).sum())
     say(
-        f"{name}: radius {100 * track.radius_m:.1f} cm, measured in {int(thing.valid.sum())} frames, between measured "
-        f"ones in {between}, unknown and left out in {unknown}; {thing.gaussians.count} Gaussians from {len(looks)} "
+        f"{name}: radius {100 * track.radius_m:.1f} cm; measured in {int(thing.valid.sum())} frames, interpolated in "
+        f"{between}, unknown in {unknown}; {thing.gaussians.count} Gaussians from {len(looks)} "
         f"crops, {agreement_db:.1f} dB on validation crops; {turning}"
     )
     return thing
 
 
-def _turning(
+def _track_rotation(
     still: RigidObject,
     track: ObjectTrack,
     looks: Sequence[ObjectCrop],
@@ -203,21 +203,21 @@ def _turning(
     if motion is None:
         return None
     known = [look for look in looks if motion.measured[look.frame]]
-    judged = [look for look in known if (look.frame, look.view) in apart]
+    validation = [look for look in known if (look.frame, look.view) in apart]
     taught = [
         crop_at_pose(look, cameras, motion.world_from_thing[look.frame])
         for look in known
         if (look.frame, look.view) not in apart
     ]
     start = carving.init_carved_surface(taught, settings.shape.gaussians)
-    if start is None or not judged:
+    if start is None or not validation:
         return None
     gaussians, seen = train_object(
         taught, start, carving.reach_m(taught), settings.shape, rng, threads, f"{still.person}, turning"
     )
-    moved = [crop_at_pose(look, cameras, motion.world_from_thing[look.frame]) for look in judged]
+    moved = [crop_at_pose(look, cameras, motion.world_from_thing[look.frame]) for look in validation]
     gain_db = 10 * np.log10(
-        mean_squared_errors(still.gaussians, judged, threads)[1]
+        mean_squared_errors(still.gaussians, validation, threads)[1]
         / max(mean_squared_errors(gaussians, moved, threads)[1], 1e-10)
     )
     if not gain_db >= settings.turn.gain_db:
@@ -231,13 +231,13 @@ def _turning(
     return thing, f"it turns, which explains the validation crops {gain_db:.1f} dB better, outlines included"
 
 
-def with_usual_difference(views: Sequence[ObjectView], moments: Moments, settings: LooseSettings) -> list[ObjectView]:
+def add_typical_difference(views: Sequence[ObjectView], moments: Moments, settings: LooseSettings) -> list[ObjectView]:
     """The views with their usual difference from the plate, measured at moments spread over the clip."""
     seen = list(moments)
     found = []
     for v, view in enumerate(views):
         differences = [shadow_free_difference(pictures[v], view.plate, settings) for pictures, _ in seen]
-        found.append(replace(view, usual=usual_difference(differences, [explained[v] for _, explained in seen])))
+        found.append(replace(view, typical=typical_difference(differences, [explained[v] for _, explained in seen])))
     return found
 
 
@@ -255,7 +255,7 @@ def read_moments(
     for frame, filmed in enumerate(progress(films, "loose things", frames)):
         if frame % step:
             continue
-        pictures = [factors.even_out(view.camera.name, picture, frame) for view, picture in zip(views, filmed)]
+        pictures = [factors.normalise(view.camera.name, picture, frame) for view, picture in zip(views, filmed)]
         yield (
             [
                 p if p.shape[:2] == v.camera.hw else cv2.resize(p, v.camera.wh, interpolation=cv2.INTER_AREA)
@@ -273,7 +273,7 @@ def open_view(camera: Camera, video: Path, plate: Path, pixels: int, factors: Fa
     return ObjectView(
         small,
         video,
-        *shrink_plate(factors.even_out(camera.name, rgb), measured, small.wh),
+        *shrink_plate(factors.normalise(camera.name, rgb), measured, small.wh),
         np.zeros(small.hw, np.float32),
     )
 
@@ -315,7 +315,7 @@ def run(
     views = [open_view(*each, settings.pixels, gain) for each in zip(cameras, videos, plates)]
     about = (persons, body_model, footage.frames, settings.loose.margin_m)
     step = max(1, footage.frames // _REST_FRAMES)
-    views = with_usual_difference(views, read_moments(views, *about, step=step, factors=every), settings.loose)
+    views = add_typical_difference(views, read_moments(views, *about, step=step, factors=every), settings.loose)
     moments = read_moments(views, *about, factors=every)
     found = find_objects(moments, views, footage.frames, footage.fps, settings, threads)
     write_objects(objects, found, footage.frames)

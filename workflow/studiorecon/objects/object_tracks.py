@@ -53,8 +53,8 @@ class ObjectTrack:
     valid: Bool[np.ndarray, " T"]
     present: Bool[np.ndarray, " T"]
     radius_m: float
-    seen: tuple[tuple[int, Sighting], ...]
-    round: bool = True
+    sightings: tuple[tuple[int, Sighting], ...]
+    is_sphere: bool = True
 
 
 def link_sightings(
@@ -68,7 +68,7 @@ def link_sightings(
             elapsed_s = (frame - track[-1][0]) / fps
             if elapsed_s > settings.gap_s + 1 / fps:
                 continue
-            expected = _expected(track, frame)
+            expected = _predict(track, frame)
             for i, thing in enumerate(things):
                 # An object that bounces leaves its predicted path.
                 off_m = float(
@@ -168,7 +168,7 @@ def _middles(
     return radius_m, centres
 
 
-def _expected(track: Sequence[tuple[int, Sighting]], frame: int) -> np.ndarray:
+def _predict(track: Sequence[tuple[int, Sighting]], frame: int) -> np.ndarray:
     """(3,) position predicted from the last two sightings at constant velocity."""
     last_frame, last = track[-1]
     if len(track) < 2:

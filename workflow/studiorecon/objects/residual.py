@@ -76,7 +76,7 @@ def shadow_free_difference(
     return np.sqrt(plate_difference(picture, empty, chroma_weight=settings.chroma_weight, shadow=settings.shadow)[0])
 
 
-def usual_difference(
+def typical_difference(
     differences: Sequence[Float[np.ndarray, "H W"]], explained: Sequence[Bool[np.ndarray, "H W"]]
 ) -> Float[np.ndarray, "H W"]:
     """Float32 difference that a pixel has in most pictures without people; 0 where people always cover it.
@@ -98,8 +98,8 @@ def pixel_states(
 ) -> Integer[np.ndarray, "H W"]:
     """State of every pixel of a picture, from its ``shadow_free_difference``.
 
-    ``usual`` is its ``usual_difference``, used up to twice the threshold: more is an object that never moved. The plate
-    is ``measured``; ``explained`` is where people are.
+    ``usual`` is its ``typical_difference``, used up to twice the threshold: more is an object that never moved. The
+    plate is ``measured``; ``explained`` is where people are.
     """
     quiet = differing - np.minimum(usual, 2 * settings.difference)
     plain = cv2.medianBlur((quiet > settings.difference).astype(np.uint8), 3)

@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING
 import cv2
 import numpy as np
 
-from studiorecon.arrays import evenly_spread
+from studiorecon.arrays import spread_indices
 from studiorecon.footage.video import to_float
 from studiorecon.images.channels import channel_sum
 from studiorecon.images.warp import sample
@@ -72,7 +72,7 @@ class ObjectCrop:
 def unoccluded_crops(track: ObjectTrack, cameras: Sequence[Camera]) -> list[ObjectCrop]:
     """The unoccluded crops of an object that moves without turning, at most 160 of them spread over its frames."""
     found = []
-    for frame, sighting in track.seen:
+    for frame, sighting in track.sightings:
         if not track.valid[frame]:
             continue
         still = np.eye(4)
@@ -81,7 +81,7 @@ def unoccluded_crops(track: ObjectTrack, cameras: Sequence[Camera]) -> list[Obje
             if region.free and _whole(region, track, frame, cameras[view]):
                 look = ObjectCrop(frame, view, region.corner, cameras[view], region.rgb, region.state)
                 found.append(crop_at_pose(look, cameras, still))
-    return [found[i] for i in evenly_spread(len(found), _LOOKS, below=True)]
+    return [found[i] for i in spread_indices(len(found), _LOOKS, below=True)]
 
 
 def crop_at_pose(look: ObjectCrop, cameras: Sequence[Camera], world_from_thing: Float[np.ndarray, "4 4"]) -> ObjectCrop:
@@ -116,7 +116,7 @@ def mean_colours(
         facing = (normals * away).sum(1) / np.linalg.norm(away, axis=1)
         pixels, _ = look.camera.project(points_m)
         core = cv2.erode((look.state == LOOSE).astype(np.uint8), np.ones((3, 3), np.uint8))
-        shows = (facing > _FACING) & (_sampled(core, pixels[None], 0)[0] > 0)
+        shows = (facing > _FACING) & (_sample_nearest(core, pixels[None], 0)[0] > 0)
         column, row = np.floor(pixels[shows]).astype(int).T
         sums[shows] += facing[shows, None] * to_float(look.rgb)[row, column]
         weights[shows] += facing[shows]
@@ -172,12 +172,12 @@ def _whole(region: ResidualRegion, track: ObjectTrack, frame: int, camera: Camer
 
     Objects that are not round have areas of all sizes.
     """
-    most = _ONE_AREA if track.round else _ONE_AREA_OBLONG
+    most = _ONE_AREA if track.is_sphere else _ONE_AREA_OBLONG
     radius_px = track.radius_m * camera.focal_px[0] / float(camera.project(track.centres_m[frame])[1])
     return 1 / most < region.area_px / (np.pi * radius_px**2) < most
 
 
-def _sampled(picture: np.ndarray, pixels: np.ndarray, beyond: int) -> np.ndarray:
+def _sample_nearest(picture: np.ndarray, pixels: np.ndarray, beyond: int) -> np.ndarray:
     """Values of a picture (H, W) at pixels (N, K, 2); ``beyond`` outside of it and behind the camera."""
     values, inside = sample(picture, pixels, "nearest")
     return np.where(inside, values, beyond)

@@ -77,18 +77,18 @@ def track_rotation(
 
     Some 0.1 s per frame and view; ``rng`` is for the training of its shape.
     """
-    glimpses = _glimpses(track, cameras, apart)
+    glimpses = _observations(track, cameras, apart)
     frames = sorted(glimpses)
     looks = [look for look in unoccluded_crops(track, cameras) if (look.frame, look.view) not in apart]
     if len(frames) < 3 or not looks:
         return None
     still = np.tile(np.eye(4), (len(track.centres_m), 1, 1))
     still[:, :3, 3] = np.nan_to_num(track.centres_m)
-    best = _best_shown(looks, cameras, still)
+    best = _tightest_crops(looks, cameras, still)
     shape = _shape(best, rng, threads)
     if shape is None:
         return None
-    poses = _followed(Fitter(*shape, threads), still, glimpses, best[0].frame, fps, settings)
+    poses = _follow(Fitter(*shape, threads), still, glimpses, best[0].frame, fps, settings)
     if _largest_rad(np.stack([poses[frame][:3, :3] for frame in frames])) < _MIN_RAD:
         return None
     # Once more with the shape from all moments; a third time changes nothing.
@@ -96,7 +96,7 @@ def track_rotation(
     if shape is None:
         return None
     fitter = Fitter(*shape, threads)
-    poses = _refined(fitter, still, poses, glimpses, fps, settings)
+    poses = _refine_poses(fitter, still, poses, glimpses, fps, settings)
     misfits = {frame: np.divide(*fitter.misfit(poses[frame], glimpses[frame])) for frame in frames}
     measured = np.zeros(len(still), bool)
     measured[[frame for frame in frames if misfits[frame] <= _LOST * np.median(list(misfits.values()))]] = True
@@ -116,12 +116,12 @@ def _largest_rad(turns: np.ndarray) -> float:
     return float(rotations.angle(rotations.mean(turns)[0], turns).max())
 
 
-def _glimpses(
+def _observations(
     track: ObjectTrack, cameras: Sequence[Camera], apart: Collection[tuple[int, int]]
 ) -> dict[int, list[ObjectObservation]]:
     """All cameras' observations by frame, including those where a person occludes a part."""
     found: dict[int, list[ObjectObservation]] = {}
-    for frame, sighting in track.seen:
+    for frame, sighting in track.sightings:
         for view, region in sorted(sighting.regions.items()):
             if track.valid[frame] and (frame, view) not in apart:
                 look = ObjectCrop(frame, view, region.corner, cameras[view], region.rgb, region.state)
@@ -130,7 +130,7 @@ def _glimpses(
     return found
 
 
-def _best_shown(looks: Sequence[ObjectCrop], cameras: Sequence[Camera], still: np.ndarray) -> list[ObjectCrop]:
+def _tightest_crops(looks: Sequence[ObjectCrop], cameras: Sequence[Camera], still: np.ndarray) -> list[ObjectCrop]:
     """The crops of the moment with the smallest hull, which contains the object, among those that most cameras show."""
     by_frame: dict[int, list[ObjectCrop]] = {}
     for look in looks:
@@ -146,7 +146,7 @@ def _shape(looks: Sequence[ObjectCrop], rng: np.random.Generator, threads: int) 
     return None if found is None else (train_object(looks, found, reach, _SHAPE, rng, threads, "pose")[0], reach)
 
 
-def _followed(
+def _follow(
     fitter: Fitter,
     still: np.ndarray,
     glimpses: Mapping[int, list[ObjectObservation]],
@@ -184,7 +184,7 @@ def _followed(
     return poses
 
 
-def _refined(
+def _refine_poses(
     fitter: Fitter,
     still: np.ndarray,
     poses: Mapping[int, np.ndarray],

@@ -58,7 +58,7 @@ def find_sightings(
     for first, second in combinations(range(len(cameras)), 2):
         for a in regions[first]:
             for b in regions[second]:
-                centre, apart_m = _meeting(cameras[first], a, cameras[second], b)
+                centre, apart_m = _nearest_point(cameras[first], a, cameras[second], b)
                 if centre is not None and apart_m <= gate_m:
                     candidates.append((centre, apart_m, (a, b)))
     found: list[tuple[float, float, Sighting]] = []
@@ -70,7 +70,9 @@ def find_sightings(
         support = _support(cameras, regions, centre, size, gate_m)
         if any(support.get(r.view) is not r for r in pair):
             continue
-        against = sum(_denies(c, s, centre, size) for v, (c, s) in enumerate(zip(cameras, states)) if v not in support)
+        against = sum(
+            _contradicts(c, s, centre, size) for v, (c, s) in enumerate(zip(cameras, states)) if v not in support
+        )
         if len(support) >= 2 and (against == 0 or (against == 1 and len(support) >= 3)):
             found.append((-len(support) + against, apart_m, Sighting(centre, size, support)))
     chosen: list[Sighting] = []
@@ -127,7 +129,7 @@ def fit_sphere(
     return centre, radius, float(_OUTLINE_PX * np.sqrt((robust * error**2).sum() / robust.sum()))
 
 
-def _meeting(one: Camera, a: ResidualRegion, two: Camera, b: ResidualRegion) -> tuple[np.ndarray | None, float]:
+def _nearest_point(one: Camera, a: ResidualRegion, two: Camera, b: ResidualRegion) -> tuple[np.ndarray | None, float]:
     """Middle of the shortest line between two regions' rays, and its length; None behind a camera, or if parallel."""
     u, v = (c.unproject(r.centre_px, np.ones(())) - c.centre_m for c, r in ((one, a), (two, b)))
     u, v = u / np.linalg.norm(u), v / np.linalg.norm(v)
@@ -175,7 +177,7 @@ def _support(
     return support
 
 
-def _denies(camera: Camera, state: np.ndarray, centre_m: np.ndarray, size_m: float) -> bool:
+def _contradicts(camera: Camera, state: np.ndarray, centre_m: np.ndarray, size_m: float) -> bool:
     """Whether a camera sees the room at an object's position: in most of the square inside its disc."""
     pixel, depth_m = camera.project(centre_m)
     if depth_m <= _NEAR_M:

@@ -87,7 +87,7 @@ def _environment() -> Environment:
 
 
 @cache
-def _compiled(template: str) -> Any:
+def _compile(template: str) -> Any:
     return _environment().from_string(template)
 
 
@@ -96,7 +96,7 @@ def fill_template(template: str, **values: Any) -> Markup:
 
     Raises UndefinedError for a value that the template names and that is missing.
     """
-    return Markup(_compiled(template).render(**values))
+    return Markup(_compile(template).render(**values))
 
 
 def page(title: str, body: Sequence[str], style: str = "", reload_s: int | None = None, then: str = "") -> str:

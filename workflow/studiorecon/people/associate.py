@@ -18,7 +18,7 @@ from studiorecon.errors import UserError
 from studiorecon.people.association.acceptance import TrackVerdict, identities_from_keypoints
 from studiorecon.people.association.affinity import AssociationLimits
 from studiorecon.people.association.rejected_people import RejectedPerson, report_rejected
-from studiorecon.people.corrected_identities import people_table_rows, read_corrected
+from studiorecon.people.corrected_identities import people_table_rows, read_corrected_identities
 from studiorecon.people.fit_settings import TriangulationSettings
 from studiorecon.people.fitting.readouts import estimate_readouts
 from studiorecon.people.pictures.coverage import CameraEvidence
@@ -88,7 +88,7 @@ class Associated:
 
 def associate_as_corrected(path: Path, given: Sequence[Detections]) -> Associated:
     """Persons of all tracks by the user's own table, unchanged."""
-    table = read_corrected(path, given)
+    table = read_corrected_identities(path, given)
     rows = people_table_rows(table, given)
     say(f"{len(rows)} people as corrected in {path}")
     verdicts = {

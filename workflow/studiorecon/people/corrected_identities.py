@@ -15,7 +15,7 @@ from studiorecon.scene.people import Detections, read_given_identities
 _PERSON = re.compile(r"p\d+")
 
 
-def read_corrected(path: Path, detections: Sequence[Detections]) -> dict[tuple[str, int], str]:
+def read_corrected_identities(path: Path, detections: Sequence[Detections]) -> dict[tuple[str, int], str]:
     """(camera, track) → person for every detected track; tracks that the file leaves out have no person.
 
     Raises UserError, naming the line's camera and track, for a track that does not exist, a person that is not called

@@ -133,15 +133,15 @@ class Plan:
 
     Attributes:
         track: tracks, some given to the person that they agree with.
-        swapped, dropped: (D,) bool: left and right are to be exchanged; another person, a duplicate, or a mixture of
+        swap_sides, drop: (D,) bool: left and right are to be exchanged; another person, a duplicate, or a mixture of
             two.
-        looks: (frame, index of the person, detection to replace or -1) where the network is to run again.
+        searches: (frame, index of the person, detection to replace or -1) where the network is to run again.
     """
 
     track: Integer[np.ndarray, " D"]
-    swapped: Bool[np.ndarray, " D"]
-    dropped: Bool[np.ndarray, " D"]
-    looks: list[tuple[int, int, int]]
+    swap_sides: Bool[np.ndarray, " D"]
+    drop: Bool[np.ndarray, " D"]
+    searches: list[tuple[int, int, int]]
 
 
 def plan_second_look(

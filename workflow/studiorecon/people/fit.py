@@ -223,8 +223,8 @@ def report_filled_frames(fitted: Person) -> None:
         say(f"{fitted.name}: frames {frame_ranges(guessed)} are interpolated and marked not valid")
     if not fitted.present.all():
         say(
-            f"{fitted.name}: frames {frame_ranges(~fitted.present)}: no camera determines the position of "
-            f"{fitted.name}, who is not drawn there"
+            f"{fitted.name}: no camera determines the position in frames {frame_ranges(~fitted.present)}, in which the "
+            "person is not drawn"
         )
 
 

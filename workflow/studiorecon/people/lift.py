@@ -206,8 +206,8 @@ def run(
     gaps = [_gap(alignment.apply(depth, _NEAR_M), first_m) for depth in predicted.values()]
     if not (gap := float(np.median(gaps))) <= _WORST_GAP:
         raise UserError(
-            f"{title} and the first moment's depth differ by {gap:.0%} in the median in camera {camera}: not the same "
-            f"view; {_INSTEAD}"
+            f"{title} and the first moment's depth differ by {gap:.0%} (median) in camera {camera}, so their views "
+            f"differ; {_INSTEAD}"
         )
     result = lift_detections(seen, predicted, first_m, alignment, own, settings.lift)
     known = int(np.isfinite(result.pelvis[:, 2]).sum()) if result.pelvis is not None else 0

@@ -17,7 +17,7 @@ from studiorecon.footage.video import read_frames
 from studiorecon.images.encoded import jpeg
 from studiorecon.keypoints.layouts import LAYOUTS
 from studiorecon.pages import skeleton
-from studiorecon.people.pictures.change import sampled_frames
+from studiorecon.people.pictures.change import sample_frames
 from studiorecon.progress import progress
 from studiorecon.scene.files import write_text
 from studiorecon.scene.people import Detections, people_rows, read_detections, read_identities
@@ -114,7 +114,7 @@ def choose_pictures(found: Detections, view: int, tracks: Sequence[int], picture
     """Evenly spread detections of ``tracks``, one per frame, the more confident one where two share a frame."""
     mine = np.flatnonzero(np.isin(found.track, tracks))
     chosen = []
-    for t in sampled_frames(found.frame[mine], pictures):
+    for t in sample_frames(found.frame[mine], pictures):
         here = mine[found.frame[mine] == t]
         chosen.append(PictureRequest(view, int(here[np.argmax(found.keypoints[here, :, 2].sum(1))])))
     return chosen

@@ -82,9 +82,9 @@ def redetect(
     cameras."""
     results = []
     names = LAYOUTS[LAYOUT].keypoints
-    frames = sorted({frame for frame, _, _ in plan.looks})
+    frames = sorted({frame for frame, _, _ in plan.searches})
     for frame, picture in zip(frames, pictures):
-        for _, k, before in (look for look in plan.looks if look[0] == frame):
+        for _, k, before in (look for look in plan.searches if look[0] == frame):
             # Predicted at the time of the picture; the landmarks are then moved to the frame's own time.
             now = people[k].at(frame)
             place = people[k].at(frame, view.late_frames(frame, now)) if now is not None else None
@@ -156,11 +156,11 @@ def improve_detections(
     row: int,
 ) -> Detections:
     """The camera's detections after ``plan``, with the new ones, whose masks are rows ``row`` and after."""
-    kept = ~plan.dropped
+    kept = ~plan.drop
     kept[[look.replaces for look in looks if look.replaces >= 0]] = False
     keypoints, guess = own.keypoints.copy(), np.array(own.points_m)
-    keypoints[plan.swapped] = swap_left_right(own.layout, keypoints[plan.swapped])
-    guess[plan.swapped] = swap_left_right(own.layout, guess[plan.swapped])
+    keypoints[plan.swap_sides] = swap_left_right(own.layout, keypoints[plan.swap_sides])
+    guess[plan.swap_sides] = swap_left_right(own.layout, guess[plan.swap_sides])
     first = replace(own, track=plan.track, keypoints=keypoints, points_m=guess).only(kept)
     whose = np.array(owners, dtype=object)
     fresh = max(plan.track, default=-1) + 1
@@ -203,8 +203,8 @@ class CameraFiles:
 
 @dataclass(frozen=True)
 class FirstFiles:
-    """The first detections: the camera's ``found`` file of the detector, those of all training cameras (``first``), and
-    their ``identities``."""
+    """Files of the first association: ``found``, the camera's file of the detector; ``first``, detections of all
+    training cameras; and their ``identities``."""
 
     found: Path
     first: list[Path]
@@ -241,8 +241,8 @@ def run(
     owners = [who.get((camera, int(t)), "") for t in own.track]
     if len(cameras) == 2:
         # Which of two cameras that disagree has left and right swap_left_right: the one that contradicts itself.
-        plan = replace(plan, swapped=plan.swapped & is_left_right_swapped(own, cameras[at], owners, filmed.fps))
-    wanted = [filmed.used[frame] for frame in sorted({look[0] for look in plan.looks})]
+        plan = replace(plan, swap_sides=plan.swap_sides & is_left_right_swapped(own, cameras[at], owners, filmed.fps))
+    wanted = [filmed.used[frame] for frame in sorted({look[0] for look in plan.searches})]
     source = open_source(footage.source, footage.picture_fps)
     pictures = progress(read_stills(source, wanted), f"frames of {camera}", len(wanted))
     looks = redetect(detector.placer(), pictures, plan, people, own, view)
@@ -262,10 +262,10 @@ def _counts(own: Detections, plan: Plan, looks: Sequence[SecondLook], result: De
     replaced = sum(look.replaces >= 0 for look in looks)
     return {
         "detections": len(own.frame),
-        "looked": len(plan.looks),
+        "looked": len(plan.searches),
         "added": len(looks) - replaced,
         "replaced": replaced,
-        "sides_exchanged": int(plan.swapped.sum()),
+        "sides_exchanged": int(plan.swap_sides.sum()),
         "adopted": int((plan.track != own.track).sum()),
         "removed": len(own.frame) + len(looks) - replaced - len(result.frame),
     }

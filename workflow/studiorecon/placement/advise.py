@@ -23,11 +23,11 @@ def run(model: Path, picture: Written, plan: Written) -> None:
     if len(cameras) < 2:
         raise UserError(f"{model} has {len(cameras)} camera, which cannot measure distance: no advice is possible")
     room = room_about(cameras)
-    judge = RigEvaluator(room)
-    figures, moves = judge.figures(cameras), advise_moves(cameras, room)
+    evaluator = RigEvaluator(room)
+    figures, moves = evaluator.figures(cameras), advise_moves(cameras, room)
     title = f"{len(cameras)} cameras in a room of about {' × '.join(f'{side:.1f}' for side in room.size_m)} m"
     with atomic_path(picture) as partial:
-        partial.write_text(draw_plan(title, cameras, judge, figures, moves), encoding="utf-8")
+        partial.write_text(draw_plan(title, cameras, evaluator, figures, moves), encoding="utf-8")
     described = [{"camera": m.camera, "words": m.words, "gain": m.gain, "better": m.better.as_json()} for m in moves]
     write_json(plan, {"room_m": [room.low_m, room.high_m], "figures": dataclasses.asdict(figures), "advice": described})
     placed = (camera_position_text(camera, room) for camera in cameras)

@@ -67,7 +67,7 @@ def place_cameras(room: Room, lenses: Sequence[Camera]) -> list[Camera]:
     """
     if len(lenses) < 2:
         raise UserError(f"{len(lenses)} camera cannot measure distance; plan for two or more")
-    judge = RigEvaluator(room)
+    evaluator = RigEvaluator(room)
     top = room.size_m[2] - _FROM_CEILING_M
     heights = [height for height in _HEIGHTS_M if height < top] + [top]
     rings = [
@@ -75,7 +75,7 @@ def place_cameras(room: Room, lenses: Sequence[Camera]) -> list[Camera]:
         for height, aim, phase in itertools.product(heights, _AIMS_M, range(_PHASES))
         if aim < height
     ]
-    costs = np.array([judge.cost_m(cameras) for cameras in rings])
+    costs = np.array([evaluator.cost_m(cameras) for cameras in rings])
     # Mirrored rings have the same cost up to rounding: take the first of them, on every machine.
     return rings[int(np.flatnonzero(costs <= costs.min() + 1e-9)[0])]
 
@@ -97,19 +97,19 @@ def ring_of_cameras(room: Room, lenses: Sequence[Camera], phase: float, height_m
 
 def advise_moves(cameras: Sequence[Camera], room: Room) -> list[Move]:
     """For every camera the best pose near its own, the others staying; those with at least 3 % gain, best first."""
-    judge = RigEvaluator(room)
-    before = judge.cost_m(cameras)
+    evaluator = RigEvaluator(room)
+    before = evaluator.cost_m(cameras)
     found = []
     for index, camera in enumerate(cameras):
-        better, cost = _improved(index, cameras, room, judge, before)
+        better, cost = _improve_camera(index, cameras, room, evaluator, before)
         gain = 1 - cost / before
         if gain >= _MIN_GAIN:
             found.append(Move(camera.name, move_text(camera, better), better, float(gain)))
     return sorted(found, key=lambda move: -move.gain)
 
 
-def _improved(
-    index: int, cameras: Sequence[Camera], room: Room, judge: RigEvaluator, cost: float
+def _improve_camera(
+    index: int, cameras: Sequence[Camera], room: Room, evaluator: RigEvaluator, cost: float
 ) -> tuple[Camera, float]:
     best, start = cameras[index], cameras[index].centre_m
     others = list(cameras)
@@ -120,20 +120,22 @@ def _improved(
         while improving:
             improving = False
             tried = [
-                t for t in _around(best, step_m, step_deg) if np.linalg.norm(t.centre_m - start) <= _FARTHEST_M + 1e-9
+                t
+                for t in _nearby_poses(best, step_m, step_deg)
+                if np.linalg.norm(t.centre_m - start) <= _FARTHEST_M + 1e-9
             ]
             if margin is not None:
                 tried = [t for t in tried if room.holds(t.centre_m, margin)]
             for candidate in tried:
                 others[index] = candidate
-                found = judge.cost_m(others)
+                found = evaluator.cost_m(others)
                 # Each step must be worth measuring with a tape.
                 if found < cost * (1 - 0.005):
                     best, cost, improving = candidate, found, True
     return best, cost
 
 
-def _around(camera: Camera, step_m: float, step_deg: float) -> list[Camera]:
+def _nearby_poses(camera: Camera, step_m: float, step_deg: float) -> list[Camera]:
     """The camera moved along and across its view and up and down with the same aim, and turned in place."""
     right, ahead, up = _axes(camera)
     rotation, eye = camera.world_from_camera[:3, :3], camera.centre_m
@@ -147,12 +149,12 @@ def _around(camera: Camera, step_m: float, step_deg: float) -> list[Camera]:
     middle = eye + camera.forward * 3.0
     for direction in (right, -right):
         made.append(
-            with_pose(camera, eye + step_m * direction, _turned_to(rotation, eye, eye + step_m * direction, middle, up))
+            with_pose(camera, eye + step_m * direction, _turn_to(rotation, eye, eye + step_m * direction, middle, up))
         )
     return made
 
 
-def _turned_to(
+def _turn_to(
     rotation: np.ndarray, was_m: np.ndarray, eye_m: np.ndarray, target_m: np.ndarray, up: np.ndarray
 ) -> np.ndarray:
     before, after = (np.arctan2(*(target_m - place)[[1, 0]]) for place in (was_m, eye_m))

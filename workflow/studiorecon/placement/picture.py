@@ -27,10 +27,10 @@ _ERRORS = ((10, "#2f6f9f"), (15, "#6ba3c4"), (20, "#a9cbd9"), (30, "#efe0a0"), (
 
 
 def draw_plan(
-    title: str, cameras: Sequence[Camera], judge: RigEvaluator, figures: RigQuality, moves: Sequence[Move] = ()
+    title: str, cameras: Sequence[Camera], evaluator: RigEvaluator, figures: RigQuality, moves: Sequence[Move] = ()
 ) -> str:
     """The picture as SVG; ``moves`` are drawn as arrows and listed."""
-    room = judge.room
+    room = evaluator.room
     width, depth = room.size_m[:2]
     scale = _MAP_PX / max(width, depth)
     high = scale * depth
@@ -42,7 +42,7 @@ def draw_plan(
         *(advice_line(move) for move in moves),
     ]
     total_w, total_h = 2 * _MAP_PX + 3 * _GAP_PX, _TOP_PX + high + 100 + _LINE_PX * (len(lines) + 1)
-    counts, errors = _maps(cameras, judge)
+    counts, errors = _maps(cameras, evaluator)
     parts = [
         f'<svg xmlns="http://www.w3.org/2000/svg" viewBox="0 0 {total_w:.0f} {total_h:.0f}" '
         f'width="{total_w:.0f}" height="{total_h:.0f}" '
@@ -62,7 +62,7 @@ def draw_plan(
             f'<g transform="translate({left:.1f} {_TOP_PX})">',
         ]
         parts += _cells(cells, scale * width, high)
-        parts += _plan(cameras, judge, scale, high, moves)
+        parts += _plan(cameras, evaluator, scale, high, moves)
         parts += [*_axes(room, scale, high), "</g>", *_legend(left, _TOP_PX + high + 58, legend)]
     parts += [_text(_GAP_PX, _TOP_PX + high + 100 + _LINE_PX * k, line, "") for k, line in enumerate(lines)]
     return "\n".join([*parts, "</svg>", ""])
@@ -116,18 +116,18 @@ def camera_position_text(camera: Camera, room: Room) -> str:
     )
 
 
-def _maps(cameras: Sequence[Camera], judge: RigEvaluator) -> tuple[list[list[str]], list[list[str]]]:
+def _maps(cameras: Sequence[Camera], evaluator: RigEvaluator) -> tuple[list[list[str]], list[list[str]]]:
     """Colours of the cells [row from the far side][column] of both maps."""
-    room = judge.room
+    room = evaluator.room
     step = max(room.size_m[:2]) / _CELLS
     counted = [max(round(size / step), 1) for size in room.size_m[:2]]
     x, y = (low + (np.arange(n) + 0.5) * size / n for low, size, n in zip(room.low_m, room.size_m[:2], counted))
     flat = np.stack(np.meshgrid(x, y[::-1]), axis=-1).reshape(-1, 2)
     heads = np.column_stack([flat, np.full(len(flat), room.low_m[2] + HEAD_M)])
-    counts = judge.sees(cameras, heads, None).sum(axis=0).reshape(len(y), len(x))
-    errors = judge.joint_errors_m(cameras, np.column_stack([flat, np.full(len(flat), room.low_m[2] + HIPS_M)])).reshape(
-        counts.shape
-    )
+    counts = evaluator.sees(cameras, heads, None).sum(axis=0).reshape(len(y), len(x))
+    errors = evaluator.joint_errors_m(
+        cameras, np.column_stack([flat, np.full(len(flat), room.low_m[2] + HIPS_M)])
+    ).reshape(counts.shape)
     limits = np.array([limit for limit, _ in _ERRORS]) / 1000
     banded = np.minimum(np.searchsorted(limits, errors), len(_ERRORS) - 1)
     return [[_COUNTS[min(n, 4)][1] for n in row] for row in counts], [[_ERRORS[n][1] for n in row] for row in banded]
@@ -146,9 +146,9 @@ def _cells(colours: list[list[str]], wide: float, high: float) -> list[str]:
 
 
 def _plan(
-    cameras: Sequence[Camera], judge: RigEvaluator, scale: float, high: float, moves: Sequence[Move]
+    cameras: Sequence[Camera], evaluator: RigEvaluator, scale: float, high: float, moves: Sequence[Move]
 ) -> list[str]:
-    room = judge.room
+    room = evaluator.room
 
     def at(place: np.ndarray) -> tuple[float, float]:
         return (place[0] - room.low_m[0]) * scale, high - (place[1] - room.low_m[1]) * scale

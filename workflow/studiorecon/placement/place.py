@@ -43,12 +43,12 @@ def run(room: str, cameras: int, hfov_deg: list[float], resolution: str, picture
         )
     angles = hfov_deg * cameras if len(hfov_deg) == 1 else hfov_deg
     lenses = [lens_from_fov(f"cam{k + 1}", angle, wh) for k, angle in enumerate(angles)]
-    found, judge = place_cameras(box, lenses), RigEvaluator(box)
-    figures = judge.figures(found)
+    found, evaluator = place_cameras(box, lenses), RigEvaluator(box)
+    figures = evaluator.figures(found)
     degrees = " and ".join(f"{angle:g}°" for angle in dict.fromkeys(angles))
     title = f"{cameras} cameras of {degrees} ({wh[0]} × {wh[1]}) in {' × '.join(f'{side:g}' for side in box.size_m)} m"
     with atomic_path(picture) as partial:
-        partial.write_text(draw_plan(title, found, judge, figures), encoding="utf-8")
+        partial.write_text(draw_plan(title, found, evaluator, figures), encoding="utf-8")
     write_json(
         plan,
         {

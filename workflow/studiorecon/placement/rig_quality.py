@@ -112,14 +112,14 @@ class RigEvaluator:
         self.possible = apart > WIDTH_M
 
     def sees(
-        self, cameras: Sequence[Camera], points_m: Float[np.ndarray, "N 3"], stands_m: Float[np.ndarray, " 2"] | None
+        self, cameras: Sequence[Camera], points_m: Float[np.ndarray, "N 3"], person_m: Float[np.ndarray, " 2"] | None
     ) -> Bool[np.ndarray, "V N"]:
-        """Visible points, with a person at ``stands_m``, or without one."""
+        """Visible points, with a person at ``person_m``, or without one."""
         found = is_in_picture(cameras, points_m)
-        if stands_m is None:
+        if person_m is None:
             return found
         eyes = np.array([camera.centre_m for camera in cameras])
-        return found & ~is_blocked(eyes, points_m, stands_m, self.room.low_m[2])
+        return found & ~is_blocked(eyes, points_m, person_m, self.room.low_m[2])
 
     def figures(self, cameras: Sequence[Camera]) -> RigQuality:
         """The quality of the room's cameras."""

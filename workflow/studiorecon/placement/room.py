@@ -122,14 +122,14 @@ def room_about(cameras: Sequence[Camera]) -> Room:
 def is_blocked(
     eyes_m: Float[np.ndarray, "V 3"],
     points_m: Float[np.ndarray, "N 3"],
-    stands_m: Float[np.ndarray, " 2"],
+    person_m: Float[np.ndarray, " 2"],
     floor_m: float,
 ) -> Bool[np.ndarray, "V N"]:
-    """Whether a person at (x, y) ``stands_m`` hides the point from the eye.
+    """Whether a person at (x, y) ``person_m`` hides the point from the eye.
 
     The person is a cylinder, intersected with each line of sight exactly.
     """
-    start = (eyes_m[:, :2] - stands_m)[:, None]
+    start = (eyes_m[:, :2] - person_m)[:, None]
     along = (points_m[None, :, :2] - eyes_m[:, None, :2]).astype(np.float64)
     a, b = (along**2).sum(-1), (along * start).sum(-1)
     c = (start**2).sum(-1) - (WIDTH_M / 2) ** 2

@@ -20,7 +20,7 @@ from studiorecon.configuration.schema import find_schema
 from studiorecon.errors import UserError
 from studiorecon.home import PRESETS
 from studiorecon.plan.decisions import Plan
-from studiorecon.plan.prices import Point, Predicted, PriceList, machine_pace, predict, processor_seconds, read_prices
+from studiorecon.plan.prices import Point, Prediction, PriceList, machine_pace, predict, processor_seconds, read_prices
 from studiorecon.plan.workload import Footage, measure_footage, segments_with_views, workload
 
 _PACE = Path("timings") / "pace.json"
@@ -28,14 +28,14 @@ _PACE = Path("timings") / "pace.json"
 
 @dataclass(frozen=True)
 class UserChoices:
-    """The user's own settings: ``said`` on the command line and in files, and values that differ from ``schema``."""
+    """The user's own settings: ``given`` on the command line and in files, and values that differ from ``schema``."""
 
-    said: Mapping[str, Any] = field(default_factory=dict)
+    given: Mapping[str, Any] = field(default_factory=dict)
     schema: Mapping[str, Any] = field(default_factory=dict)
 
     def is_user_value(self, name: str, value: Any) -> bool:
         """Whether the setting of that dotted name, now at ``value``, is the user's own; None means no value."""
-        inner: Any = self.said
+        inner: Any = self.given
         for step in name.split("."):
             if not isinstance(inner, Mapping) or step not in inner:
                 return value is not None and value != find_schema(self.schema, name).get("default", value)
@@ -48,7 +48,7 @@ class Offer:
     """A preset with its predicted time, the processor seconds of that, and the configuration that it makes."""
 
     point: Point
-    predicted: Predicted
+    prediction: Prediction
     work_s: float
     config: Mapping[str, Any]
 
@@ -69,11 +69,11 @@ class Choice:
     @property
     def fits(self) -> bool:
         """Whether the chosen offer is predicted to end in time."""
-        return self.chosen.predicted.seconds <= 60 * self.minutes
+        return self.chosen.prediction.seconds <= 60 * self.minutes
 
     def sentence(self) -> str:
         """The choice and its reason, with the predicted interval and the time of the next better offer."""
-        p = self.chosen.predicted
+        p = self.chosen.prediction
         return (
             f"budget of {self.minutes:g} min: {self.chosen.name}, about {_minutes(p.seconds)} "
             f"({_minutes(p.low_s)} to {_minutes(p.high_s)}) with {_people(self.footage)}; {self.more()}"
@@ -85,17 +85,17 @@ class Choice:
             return "over the budget, but no preset is quicker; use fewer frames or films"
         better = [offer for offer in self.offers if gain_db(offer.point, self.chosen.point) > 0]
         if better:
-            first = min(better, key=lambda offer: offer.predicted.seconds)
+            first = min(better, key=lambda offer: offer.prediction.seconds)
             gains = first.point.gains_db(self.chosen.point)
             span = f" ({min(gains):+.1f} to {max(gains):+.1f} on {len(gains)} scenes)" if len(gains) > 1 else ""
-            return f"{first.name} would take {_minutes(first.predicted.seconds)} for {mean(gains):.1f} dB more{span}"
-        dearer = [offer.name for offer in self.offers if offer.predicted.seconds > self.chosen.predicted.seconds]
+            return f"{first.name} would take {_minutes(first.prediction.seconds)} for {mean(gains):.1f} dB more{span}"
+        dearer = [offer.name for offer in self.offers if offer.prediction.seconds > self.chosen.prediction.seconds]
         tried = f", not even {', '.join(dearer)}" if dearer else ""
         return f"no measured preset scores higher{tried}"
 
     def as_json(self) -> dict[str, Any]:
         """The choice as JSON for the page."""
-        p = self.chosen.predicted
+        p = self.chosen.prediction
         return {
             "minutes": self.minutes,
             "preset": self.chosen.point.preset,
@@ -108,11 +108,11 @@ class Choice:
 
 
 def choose_preset(
-    config: Mapping[str, Any], said: Mapping[str, Any], schema: Mapping[str, Any], plan: Plan, cores: int
+    config: Mapping[str, Any], given: Mapping[str, Any], schema: Mapping[str, Any], plan: Plan, cores: int
 ) -> Choice:
     """The preset for ``budget_min`` on this machine, whose pace is probed once and kept in ``timings/pace.json``.
 
-    ``said`` holds the settings of command line and configuration files. Raises UserError for unreadable footage.
+    ``given`` holds the settings of command line and configuration files. Raises UserError for unreadable footage.
     """
     if plan.networks.selected:
         raise UserError(
@@ -121,7 +121,7 @@ def choose_preset(
         )
     prices = read_prices()
     footage = measure_footage(plan, config["capture"]["picture_fps"])
-    stated = UserChoices(said, schema)
+    stated = UserChoices(given, schema)
     return choose_offer(config["budget_min"], config, stated, footage, plan, prices, cores, machine_pace(prices, _PACE))
 
 
@@ -139,14 +139,14 @@ def choose_offer(
     offers = []
     for point in prices.points:
         made = overlay_settings(config, stated, read_preset(point.preset))
-        work = workload(footage, made, segments_with_views(plan, made), plan.forced)
+        work = workload(footage, made, segments_with_views(plan, made), plan.forced_effects)
         work_s = sum(processor_seconds(work, prices).values()) / pace
         offers.append(Offer(point, predict(work, prices, cores, pace), work_s, made))
-    offers.sort(key=lambda offer: offer.predicted.seconds)
-    fitting = [offer for offer in offers if offer.predicted.seconds <= 60 * minutes]
+    offers.sort(key=lambda offer: offer.prediction.seconds)
+    fitting = [offer for offer in offers if offer.prediction.seconds <= 60 * minutes]
     defaults = next(offer.point for offer in offers if not offer.point.preset)
     # Of equal scores the quicker one wins.
-    ranked = [(gain_db(offer.point, defaults), -offer.predicted.seconds, k) for k, offer in enumerate(fitting)]
+    ranked = [(gain_db(offer.point, defaults), -offer.prediction.seconds, k) for k, offer in enumerate(fitting)]
     return Choice(minutes, footage, fitting[max(ranked)[2]] if ranked else offers[0], tuple(offers))
 
 
@@ -176,7 +176,7 @@ def overlay_settings(
 
 
 def _people(footage: Footage) -> str:
-    if not footage.counted:
+    if not footage.people_known:
         return f"{footage.people} people assumed"
     return "one person" if footage.people == 1 else f"{footage.people or 'no'} people"
 

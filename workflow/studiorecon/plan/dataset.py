@@ -27,7 +27,7 @@ def resolve_path(path: str | Path, home: Path) -> str:
     return str(path) if Path(path).is_file() else str(home / path)
 
 
-def chosen_dataset(config: Mapping[str, Any], home: Path) -> ChosenDataset:
+def choose_dataset(config: Mapping[str, Any], home: Path) -> ChosenDataset:
     """The dataset that ``dataset`` names, its people as in ``survey.force``; UserError when it does not exist."""
     given = Path(config["dataset"])
     if given.suffix in (".yaml", ".yml"):

@@ -29,9 +29,9 @@ def refuse_future(dataset: Path, results: Path, now_s: float) -> None:
             latest_s, latest = max(dated)
             date = time.strftime("%Y-%m-%d %H:%M", time.localtime(latest_s))
             raise UserError(
-                f"{folder} holds files of the future ({len(dated)}, {latest} of {date}): the clock of the recorder "
-                "or of this machine was wrong, and new results would seem older; correct the clock, or date the "
-                f"files today: find {folder} -newermt now -exec touch -t {today} {{}} +"
+                f"{folder} holds files dated in the future ({len(dated)}, the latest {latest}: {date}): the clock of "
+                "the recorder or of this machine was wrong, and new results would seem older; correct the clock, or "
+                f"date the files today: find {folder} -newermt now -exec touch -t {today} {{}} +"
             )
 
 

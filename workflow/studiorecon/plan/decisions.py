@@ -23,12 +23,12 @@ class Plan:
         given_body, body: the body model that the configuration names, and the same as plain arrays, which steps read.
         identities: file of the user's own table of identities; "" when there is none.
         person_sources, networks: how people are detected; the selected upstream networks.
-        lifted: people are separated by the 3D positions of their pelvises at the scene's depth.
+        lifts_pelvises: people are separated by the 3D positions of their pelvises at the scene's depth.
         from_people: cameras are calibrated from the people in the pictures.
         calibration: files of the calibration: the user's, or those that a network writes.
         segments: the gaps between neighbouring training cameras, once around, that synthesised views may fill.
         films: names of the films.
-        forced: effect → on or off, where ``survey.force`` decides it.
+        forced_effects: effect → on or off, where ``survey.force`` decides it.
     """
 
     dataset: Dataset
@@ -40,12 +40,12 @@ class Plan:
     identities: str
     person_sources: PersonSources
     networks: Networks
-    lifted: bool
+    lifts_pelvises: bool
     from_people: bool
     calibration: list[str]
     segments: list[str]
     films: list[str]
-    forced: Mapping[str, str]
+    forced_effects: Mapping[str, str]
 
     @property
     def people(self) -> bool:
@@ -83,6 +83,6 @@ class Plan:
         return ["train", *self.films]
 
 
-def one_of_pattern(names: Iterable[str]) -> str:
+def camera_pattern(names: Iterable[str]) -> str:
     """A wildcard constraint that matches exactly these names; nothing when ``names`` is empty."""
     return "|".join(map(re.escape, names)) or "(?!)"

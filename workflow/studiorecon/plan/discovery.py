@@ -20,7 +20,7 @@ from studiorecon.keypoints.layouts import LAYOUTS
 from studiorecon.plan.films import find_recordings
 from studiorecon.plan.inventory import unused_files
 from studiorecon.plan.keypoint_files import keypoint_files, keypoints_of_chapters
-from studiorecon.plan.pairing import per_camera
+from studiorecon.plan.pairing import files_by_camera
 from studiorecon.scene.capture_yaml import (
     ABOUT_KEYPOINTS,
     WITHOUT_CALIBRATION,
@@ -93,9 +93,9 @@ def _opened(folder: Path, description: dict[str, Any]) -> Dataset:
         keypoints=keypoints,
         keypoint_layout=_layout(path_under(description, "keypoint_layout") or "auto"),
         keypoint_first_frame=first_numbers(description, footage),
-        plates=per_camera(folder, *place("plates"), footage, _PLATES),
-        masks=per_camera(folder, *place("masks"), footage, _MASKS),
-        depth=per_camera(folder, *place("depth"), footage, _DEPTH),
+        plates=files_by_camera(folder, *place("plates"), footage, _PLATES),
+        masks=files_by_camera(folder, *place("masks"), footage, _MASKS),
+        depth=files_by_camera(folder, *place("depth"), footage, _DEPTH),
         identities=_identities(folder, description),
         pixel_maps=pixel_maps(description, footage),
         focal_px=focal_lengths(description, footage),

@@ -18,10 +18,10 @@ from studiorecon.scene.names import fold_name, is_system_file
 _MAX_SENTENCES = 30
 _MAX_COUNTED = 1000
 _BY_SUFFIX: Mapping[str, str] = {
-    **dict.fromkeys((".wav", ".mp3", ".m4a", ".aac", ".flac", ".ogg"), "sound is heard from the films themselves"),
+    **dict.fromkeys((".wav", ".mp3", ".m4a", ".aac", ".flac", ".ogg"), "sound comes from the films themselves"),
     **dict.fromkeys((".gz", ".zip", ".7z", ".rar", ".tar", ".bz2", ".xz"), "it is packed; unpack it"),
-    **dict.fromkeys((".part", ".crdownload", ".tmp", ".download"), "a download that did not end; fetch it again"),
-    **dict.fromkeys((".heic", ".gif", ".bmp", ".dng", ".cr2"), f"read are {', '.join(PICTURE_SUFFIXES)}"),
+    **dict.fromkeys((".part", ".crdownload", ".tmp", ".download"), "an incomplete download; download it again"),
+    **dict.fromkeys((".heic", ".gif", ".bmp", ".dng", ".cr2"), f"pictures must be {', '.join(PICTURE_SUFFIXES)}"),
 }
 _CALIBRATION_SUFFIXES = {
     *(".toml", ".yml", ".yaml", ".json", ".xml", ".npz", ".npy", ".pickle", ".pkl", ".xcp", ".mcal", ".calib", ".cal"),

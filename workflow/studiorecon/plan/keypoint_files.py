@@ -9,7 +9,7 @@ from pathlib import Path
 
 from studiorecon.errors import UserError
 from studiorecon.plan.inventory import LIKE_KEYPOINTS
-from studiorecon.plan.pairing import per_camera
+from studiorecon.plan.pairing import files_by_camera
 from studiorecon.scene.dataset import Dataset
 from studiorecon.scene.names import fold_name
 
@@ -27,17 +27,17 @@ def keypoint_files(folder: Path, named: str | None, cameras: Sequence[str]) -> t
     mentions poses or keypoints and whose entries carry the cameras' names.
     """
     if named is not None:
-        return per_camera(folder, named, True, cameras, _KEYPOINTS), []
+        return files_by_camera(folder, named, True, cameras, _KEYPOINTS), []
     usual = next((name for name in _KEYPOINT_FOLDERS if (folder / name).is_dir()), None)
     if usual is not None:
-        return per_camera(folder, usual, False, cameras, _KEYPOINTS), []
+        return files_by_camera(folder, usual, False, cameras, _KEYPOINTS), []
     held = {
         path.relative_to(folder).as_posix(): entries
         for path in sorted([*folder.glob("*"), *folder.glob("*/*")])
         if path.is_dir()
         and LIKE_KEYPOINTS.search(fold_name(path.name))
         and not _NOT_LIKE_KEYPOINTS.search(fold_name(path.relative_to(folder).as_posix()))
-        and (entries := per_camera(folder, path.relative_to(folder).as_posix(), False, cameras, _KEYPOINTS))
+        and (entries := files_by_camera(folder, path.relative_to(folder).as_posix(), False, cameras, _KEYPOINTS))
     }
     if len(held) == 1:
         name, entries = next(iter(held.items()))
@@ -57,7 +57,7 @@ def keypoints_of_chapters(dataset: Dataset) -> dict[str, tuple[Path, ...]]:
         if camera not in dataset.keypoints:
             continue
         place = dataset.keypoints[camera].parent.relative_to(dataset.folder).as_posix()
-        entries = per_camera(dataset.folder, place, True, [part.stem for part in parts], _KEYPOINTS)
+        entries = files_by_camera(dataset.folder, place, True, [part.stem for part in parts], _KEYPOINTS)
         if len(entries) == len(parts):
             found[camera] = tuple(entries[part.stem] for part in parts)
         elif len(entries) > 1:

@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from studiorecon.errors import UserError
-from studiorecon.plan.dataset import chosen_dataset, resolve_path
+from studiorecon.plan.dataset import choose_dataset, resolve_path
 from studiorecon.plan.decisions import Plan
 from studiorecon.plan.networks import choose_networks
 from studiorecon.plan.person_sources import choose_person_sources
@@ -24,7 +24,7 @@ def make_plan(config: Mapping[str, Any], home: Path) -> Plan:
 
     ``home`` is the workflow's folder.
     """
-    chosen = chosen_dataset(config, home)
+    chosen = choose_dataset(config, home)
     dataset, networks = chosen.dataset, choose_networks(config, home)
     sources = choose_person_sources(dataset, config)
     scene = str(config["scene"]) or chosen.studio or dataset.folder.resolve().name
@@ -50,12 +50,12 @@ def make_plan(config: Mapping[str, Any], home: Path) -> Plan:
         identities=str(config["people"]["identities"] or dataset.identities or ""),
         person_sources=sources,
         networks=networks,
-        lifted=dataset.people and position == "scene" and affinity != "pose",
-        from_people=source == "people" or (source == "auto" and not dataset.calibration and bool(sources.watched)),
+        lifts_pelvises=dataset.people and position == "scene" and affinity != "pose",
+        from_people=source == "people" or (source == "auto" and not dataset.calibration and bool(sources.cameras)),
         calibration=written if networks.cameras else [str(file) for file in dataset.calibration],
         segments=[segment_name(number) for number in range(len(dataset.training))],
         films=[shot for shot in config["render"]["shots"] if shot != "heldout" or dataset.held_out],
-        forced=config["survey"]["force"],
+        forced_effects=config["survey"]["force"],
     )
     check_plan(plan, config)
     return plan

@@ -27,11 +27,11 @@ class Networks:
         depth, first_depth: a network, or "precomputed"; whether ``cameras`` gives the first moment's depth.
         views: a network, "warp" or "precomputed".
         people_in_views: detects people in those; "" where bodies do it.
-        compared: the stages that compare pictures by LPIPS.
+        lpips_stages: the stages that compare pictures by LPIPS.
         enhance: the network in whose image the enhancer runs: enhancer and flow share a process.
         refiner: the enhancer that repairs views of the half-trained room; "" without one.
-        drawn_by: image of the Gaussian rasteriser: for a GPU, and for LPIPS, it has its own, because torch is large.
-        drawing_gpus: GPUs that a drawing job holds.
+        rasteriser_image: container image of the rasteriser: its own for a GPU or LPIPS, because torch is large.
+        rasteriser_gpus: GPUs that a job with the rasteriser holds.
     """
 
     selected: list[str]
@@ -42,21 +42,23 @@ class Networks:
     first_depth: bool
     views: str
     people_in_views: str
-    compared: list[str]
+    lpips_stages: list[str]
     enhance: str
     refiner: str
-    drawn_by: str
-    drawing_gpus: int
+    rasteriser_image: str
+    rasteriser_gpus: int
 
     def lpips(self, stage: str) -> str:
         """The folder of LPIPS' files for a stage; "none" where the stage does not use LPIPS."""
-        return f"{self.weights}/lpips" if stage in self.compared else "none"
+        return f"{self.weights}/lpips" if stage in self.lpips_stages else "none"
 
     @property
     def images(self) -> list[str]:
         """Names of all container images that a run uses, including the one that fetches its weights."""
         fetched_in = {"vision"} if self.selected else set()
-        return sorted({"core", self.drawn_by} | fetched_in | {MODELS[name].runtime.image for name in self.selected})
+        return sorted(
+            {"core", self.rasteriser_image} | fetched_in | {MODELS[name].runtime.image for name in self.selected}
+        )
 
 
 def choose_networks(config: Mapping[str, Any], home: Path) -> Networks:
@@ -76,12 +78,12 @@ def choose_networks(config: Mapping[str, Any], home: Path) -> Networks:
         first_depth=config["depth"]["reference"] == "calibration",
         views=config["views"]["synthesizer"],
         people_in_views=_network(config["masks"]["source"]) if config["views"]["people"] == "network" else "",
-        compared=compared,
+        lpips_stages=compared,
         # The flow network runs in the enhancer's image, whose torchvision has RAFT.
         enhance=next((name for name in enhancers if name in MODELS), ""),
         refiner=_network(enhancers[0]) if config["background"]["refinement"]["views"] else "",
-        drawn_by="vision" if on_gpu or compared else "core",
-        drawing_gpus=int(on_gpu),
+        rasteriser_image="vision" if on_gpu or compared else "core",
+        rasteriser_gpus=int(on_gpu),
     )
 
 

@@ -77,7 +77,7 @@ def pair_by_name(cameras: Sequence[str], entries: Iterable[Path]) -> dict[str, P
     return {camera: found[camera] for camera in cameras if camera in found}
 
 
-def per_camera(
+def files_by_camera(
     folder: Path, name: str, required: bool, cameras: Iterable[str], suffixes: Sequence[str]
 ) -> dict[str, Path]:
     """camera → its entry in the folder ``name`` with one of these suffixes; empty without the folder."""

@@ -18,56 +18,58 @@ class PersonSources:
     """How people are detected. Every list holds camera names in the dataset's order.
 
     Attributes:
-        bodies: the network that estimates bodies in every camera, or "precomputed"; "" = keypoints locate people.
-        detected: cameras in which the detector runs: those without keypoint files, or all.
-        measured: cameras in which it runs only to scale a network's calibration to metres: bodies come from another
+        body_network: the network that estimates bodies in every camera, or "precomputed"; "" = keypoints are used.
+        detector_cameras: cameras in which the detector runs: those without keypoint files, or all.
+        scale_cameras: cameras in which it only scales a network's calibration to metres, where bodies come from another
             network, which needs the calibration first.
-        watched: cameras with detections of people before there is a calibration.
-        recorded: those of them with keypoints from files.
-        checked: those of them that the doctor checks: the detector never runs in held-out cameras only for a check.
-        timed: those whose people determine the time offsets before there is a calibration.
-        part_used: only a part of the footage is used, and the detector reads only that part.
-        finds_people: at least one source can show people.
-        detector: names of the detector's files.
+        cameras: cameras with detections of people before there is a calibration.
+        file_cameras: those of them with keypoints from files.
+        doctor_cameras: those of them that the doctor checks: the detector never runs in held-out ones just for it.
+        clock_cameras: those whose people determine the time offsets before there is a calibration.
+        uses_part: only a part of the footage is used, and the detector reads only that part.
+        can_show_people: at least one source can show people.
+        detector_files: names of the detector's files.
     """
 
-    bodies: str
-    detected: list[str]
-    measured: list[str]
-    watched: list[str]
-    recorded: list[str]
-    checked: list[str]
-    timed: list[str]
-    part_used: bool
-    finds_people: bool
-    detector: list[str]
+    body_network: str
+    detector_cameras: list[str]
+    scale_cameras: list[str]
+    cameras: list[str]
+    file_cameras: list[str]
+    doctor_cameras: list[str]
+    clock_cameras: list[str]
+    uses_part: bool
+    can_show_people: bool
+    detector_files: list[str]
 
 
 def choose_person_sources(dataset: Dataset, config: Mapping[str, Any]) -> PersonSources:
     """The cameras and method of detection for this dataset, by ``detect.source`` and ``clocks.sync``."""
     source = config["detect"]["source"]
-    looked_at = {"auto": [c for c in dataset.cameras if c not in dataset.keypoints], "detector": list(dataset.cameras)}
-    bodies = "" if source in ("auto", "keypoints", "detector") else source
-    detected = looked_at.get(source, []) if dataset.people else []
+    by_source = {"auto": [c for c in dataset.cameras if c not in dataset.keypoints], "detector": list(dataset.cameras)}
+    body_network = "" if source in ("auto", "keypoints", "detector") else source
+    detector_cameras = by_source.get(source, []) if dataset.people else []
     unitless = (
-        bool(bodies) and dataset.people and config["calibration"]["source"] in CHOICES["calibration.source"].networks
+        bool(body_network)
+        and dataset.people
+        and config["calibration"]["source"] in CHOICES["calibration.source"].networks
     )
-    measured = [c for c in dataset.cameras if unitless and c not in dataset.keypoints]
-    looked_for = [*detected, *measured]
-    watched = [c for c in dataset.cameras if c in dataset.keypoints or c in looked_for]
-    checked = [c for c in watched if c in dataset.training or c not in looked_for]
-    part_used = bool(dataset.first_frame or dataset.frame_count)
-    asked = dataset.people and config["clocks"]["sync"] != "never"
+    scale_cameras = [c for c in dataset.cameras if unitless and c not in dataset.keypoints]
+    searched = [*detector_cameras, *scale_cameras]
+    cameras = [c for c in dataset.cameras if c in dataset.keypoints or c in searched]
+    doctor_cameras = [c for c in cameras if c in dataset.training or c not in searched]
+    uses_part = bool(dataset.first_frame or dataset.frame_count)
+    needs_clocks = dataset.people and config["clocks"]["sync"] != "never"
     return PersonSources(
-        bodies=bodies,
-        detected=detected,
-        measured=measured,
-        watched=watched,
-        recorded=[c for c in watched if c not in looked_for],
-        checked=checked,
+        body_network=body_network,
+        detector_cameras=detector_cameras,
+        scale_cameras=scale_cameras,
+        cameras=cameras,
+        file_cameras=[c for c in cameras if c not in searched],
+        doctor_cameras=doctor_cameras,
         # Where only a part is used, the clocks must first determine which part the detector reads.
-        timed=[c for c in checked if c not in looked_for or not part_used] if asked else [],
-        part_used=part_used,
-        finds_people=bool(watched) or bool(bodies),
-        detector=["movenet_multipose.onnx", _LANDMARKS[config["detect"]["detector"]], "confidence.json"],
+        clock_cameras=[c for c in doctor_cameras if c not in searched or not uses_part] if needs_clocks else [],
+        uses_part=uses_part,
+        can_show_people=bool(cameras) or bool(body_network),
+        detector_files=["movenet_multipose.onnx", _LANDMARKS[config["detect"]["detector"]], "confidence.json"],
     )

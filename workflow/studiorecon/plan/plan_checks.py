@@ -68,9 +68,9 @@ def check_plan(plan: Plan, config: Mapping[str, Any]) -> None:
             "views.people is network, which is the network of masks.source, but that is "
             f"{config['masks']['source']}: set that to one, or views.people to bodies"
         )
-    if plan.lifted:
+    if plan.lifts_pelvises:
         _lifting(plan)
-    if plan.from_people and (unseen := [c for c in plan.cameras if c not in plan.person_sources.watched]):
+    if plan.from_people and (unseen := [c for c in plan.cameras if c not in plan.person_sources.cameras]):
         raise UserError(
             f"dataset {plan.dataset.folder} has no calibration, so people's keypoints must give the cameras, but "
             f"camera {unseen[0]} has no keypoints: add {unseen[0]}/*.json, set detect.source to auto, leave the camera "
@@ -102,12 +102,12 @@ def _named_files(plan: Plan, config: Mapping[str, Any]) -> None:
 def _precomputed(plan: Plan, config: Mapping[str, Any]) -> None:
     """Raises UserError for the first camera without its file of what was made elsewhere."""
     wanted = {
-        "detect": plan.people and plan.person_sources.bodies == "precomputed",
+        "detect": plan.people and plan.person_sources.body_network == "precomputed",
         "masks": plan.people and config["masks"]["source"] == "precomputed",
         "depth": plan.networks.depth == "precomputed",
     }
     has_own = {"detect": {}, "masks": plan.dataset.masks, "depth": plan.dataset.depth}
-    for section in (name for name, asked in wanted.items() if asked):
+    for section in (name for name, requested in wanted.items() if requested):
         for camera in plan.training:
             if camera not in has_own[section]:
                 find_precomputed(config, section, camera)
@@ -134,12 +134,12 @@ def _enhancement(plan: Plan, config: Mapping[str, Any]) -> None:
             f"enhance.enhancer is {enhance['enhancer']}: set that to a network (difix, fixer), or the views to 0"
         )
     for setting, value in (("enhancer", "none"), ("strength", 0)):
-        if plan.forced.get("enhancement") == "on" and enhance[setting] == value:
+        if plan.forced_effects.get("enhancement") == "on" and enhance[setting] == value:
             raise UserError(
                 f"survey.force has enhancement: on, but enhance.{setting} is {value}, which adds nothing: leave one of "
                 "the two out"
             )
-    if plan.forced.get("injection") == "on" and not enhance["injection"]["history"]:
+    if plan.forced_effects.get("injection") == "on" and not enhance["injection"]["history"]:
         raise UserError(
             "survey.force has injection: on, but enhance.injection.history is 0, which injects nothing: leave one of "
             "the two out"
@@ -147,36 +147,36 @@ def _enhancement(plan: Plan, config: Mapping[str, Any]) -> None:
 
 
 def _lifting(plan: Plan) -> None:
-    asked = "people.association.position is scene, which"
+    setting = "people.association.position: scene"
     monocular = [card.name for card in cards_of_kind("monocular depth")]
     if not plan.networks.cameras:
         raise UserError(
-            f"{asked} needs the first moment's depth of the network that estimates the cameras: set "
+            f"{setting} needs the first moment's depth of the network that estimates the cameras: set "
             "calibration.source to one, or the position to rays"
         )
     if plan.networks.depth not in monocular:
         raise UserError(
-            f"{asked} needs the depth of every frame: set depth.source to {' or '.join(monocular)}, or the position to "
-            "rays"
-        )
-    if plan.person_sources.detected:
-        raise UserError(
-            f"{asked} needs people from a network's bodies or keypoint files, but the built-in detector is used for "
-            f"camera {plan.person_sources.detected[0]}: set detect.source to comotion or keypoints, or the position "
+            f"{setting} needs the depth of every frame: set depth.source to {' or '.join(monocular)}, or the position "
             "to rays"
+        )
+    if plan.person_sources.detector_cameras:
+        raise UserError(
+            f"{setting} needs people from a network's bodies or keypoint files, but the built-in detector is used for "
+            f"camera {plan.person_sources.detector_cameras[0]}: set detect.source to comotion or keypoints, or the "
+            "position to rays"
         )
 
 
 def _keypoints(plan: Plan) -> None:
     sources, dataset = plan.person_sources, plan.dataset
-    if not sources.finds_people:
+    if not sources.can_show_people:
         raise UserError(
             f"dataset {dataset.folder} has no 2D keypoints and detect.source is keypoints: set it to auto, put "
             "keypoints/<camera>/*.json (OpenPose, AlphaPose, MMPose, …) there, or write people: 0 into capture.yaml "
             "for an empty room"
         )
-    blind = [c for c in plan.training if c not in sources.watched]
-    if sources.watched and not sources.bodies and blind:
+    blind = [c for c in plan.training if c not in sources.cameras]
+    if sources.cameras and not sources.body_network and blind:
         raise UserError(
             f"camera {blind[0]} of dataset {dataset.folder} has no keypoints in "
             f"{next(iter(dataset.keypoints.values())).parent}: add {blind[0]}/*.json there, leave the camera out with "

@@ -60,7 +60,7 @@ class PriceList:
 
 
 @dataclass(frozen=True)
-class Predicted:
+class Prediction:
     """Seconds from start to page: the likeliest, and the ends of the interval of measured runs."""
 
     seconds: float
@@ -79,20 +79,20 @@ def read_prices(path: Path = PRICES) -> PriceList:
 def processor_seconds(work: Mapping[str, Work], prices: PriceList) -> dict[str, float]:
     """Rule → processor seconds of all its jobs on the machine of the list; rules without a price are omitted."""
     return {
-        rule: asked.jobs * (price.job_s + price.unit_s * asked.units)
-        for rule, asked in work.items()
+        rule: part.jobs * (price.job_s + price.unit_s * part.units)
+        for rule, part in work.items()
         if (price := prices.rules.get(rule)) is not None
     }
 
 
-def predict(work: Mapping[str, Work], prices: PriceList, cores: int, pace: float) -> Predicted:
+def predict(work: Mapping[str, Work], prices: PriceList, cores: int, pace: float) -> Prediction:
     """The time of a run on ``cores``, ``pace`` times as fast as the list's: rules in sequence, their jobs in
     parallel."""
     one_by_one_s = sum(
         taken_s / min(cores, work[rule].jobs) for rule, taken_s in processor_seconds(work, prices).items()
     )
     seconds = prices.start_s + prices.stretch * one_by_one_s / pace
-    return Predicted(seconds, seconds * prices.spread[0], seconds * prices.spread[1])
+    return Prediction(seconds, seconds * prices.spread[0], seconds * prices.spread[1])
 
 
 def probe_s(rounds: int = 5, size: int = 400_000) -> float:

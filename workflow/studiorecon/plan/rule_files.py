@@ -53,7 +53,7 @@ class Files(UserInputs):
         """Every film, without films of held-out cameras when no held-out camera remains."""
         return [film for film in self.plan.films if film != "heldout" or self.held_out(wildcards)]
 
-    def drawn(self, wildcards: Any) -> list[str]:
+    def renders(self, wildcards: Any) -> list[str]:
         """Every film, and "train": the training cameras' own views."""
         return ["train", *self.films(wildcards)]
 
@@ -87,7 +87,7 @@ class Files(UserInputs):
 
     def association_detections(self, wildcards: Any) -> list[str]:
         """Detections as association compares them: with pelvises at the scene's depth if so configured."""
-        if not (self.plan.people and self.plan.lifted):
+        if not (self.plan.people and self.plan.lifts_pelvises):
             return self.detections(wildcards)
         return [f"results/{self._scene(wildcards)}/people/lifted/{camera}.npz" for camera in self.training(wildcards)]
 
@@ -105,17 +105,17 @@ class Files(UserInputs):
         return [f"results/{self._scene(wildcards)}/plates/{camera}.png" for camera in brought if self.plan.people]
 
     def _detected(self, wildcards: Any) -> list[str]:
-        looked = self.plan.person_sources.detected if self.plan.people else []
+        looked = self.plan.person_sources.detector_cameras if self.plan.people else []
         return [camera for camera in self.training(wildcards) if camera in looked]
 
     def _refined_detections(self, scene: str, camera: str) -> str:
-        if camera in self.plan.person_sources.detected:
+        if camera in self.plan.person_sources.detector_cameras:
             return f"results/{scene}/people/detections/{camera}.npz"
         return f"results/{scene}/tracks/{camera}.npz"
 
     def detector_masks(self, wildcards: Any) -> list[str]:
         """The detector's masks of one camera, its detections, and the identities; none where it did not run."""
-        if wildcards.camera not in self.plan.person_sources.detected:
+        if wildcards.camera not in self.plan.person_sources.detector_cameras:
             return []
         folder = f"results/{wildcards.scene}/people"
         masks = f"{folder}/seen/{wildcards.camera}.npz"
@@ -212,8 +212,8 @@ class Files(UserInputs):
 
     def uncorrected_identities(self, wildcards: Any) -> list[str]:
         """Association's own identities, where the user's table replaces them; none without such a table."""
-        asked = self.corrected_identities and self.plan.people
-        return [f"results/{self._scene(wildcards)}/people/by_itself/identities.tsv"] if asked else []
+        needed = self.corrected_identities and self.plan.people
+        return [f"results/{self._scene(wildcards)}/people/by_itself/identities.tsv"] if needed else []
 
     def recognition(self, wildcards: Any) -> list[str]:
         """The detector's scores of people in the films; none when there are no people."""
@@ -256,7 +256,7 @@ class Files(UserInputs):
 
     def verdict(self, effect: str, wildcards: Any) -> str:
         """The survey's verdict on an effect: on, off or undetermined; at once where ``survey.force`` decides it."""
-        return self.plan.forced.get(effect) or self._decided(effect, wildcards)["verdict"]
+        return self.plan.forced_effects.get(effect) or self._decided(effect, wildcards)["verdict"]
 
     def _decided(self, effect: str, wildcards: Any) -> Mapping[str, Any]:
         decided = self.checkpoints.survey_decide.get(scene=self._scene(wildcards)).output.decisions
@@ -285,14 +285,14 @@ class Files(UserInputs):
 
     def segments(self, wildcards: Any) -> list[str]:
         """Gaps that get synthesised views, as the survey selects; not the widest unless ``closed_path`` is on."""
-        forced = self.plan.forced.get("view_synthesis")
+        forced = self.plan.forced_effects.get("view_synthesis")
         if forced == "off" or self.config["background"]["views_share"] == 0:
             return []
         chosen = self.plan.segments[: len(self.training(wildcards))]
         if not forced:
             parts = self._decided("view_synthesis", wildcards)["detail"].get("parts", {})
             chosen = [name for name in chosen if parts.get(name, {}).get("verdict") == "on"]
-        closed = self.plan.forced.get("closed_path")
+        closed = self.plan.forced_effects.get("closed_path")
         if chosen and closed != "on":
             path = self._decided("closed_path", wildcards)
             if closed == "off" or path["verdict"] != "on":

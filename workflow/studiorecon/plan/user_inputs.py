@@ -51,7 +51,7 @@ class UserInputs:
 
     @cached_property
     def detector(self) -> list[str]:
-        return [self.bundled(f"resources/detector/{name}") for name in self.plan.person_sources.detector]
+        return [self.bundled(f"resources/detector/{name}") for name in self.plan.person_sources.detector_files]
 
     def second_network(self, _: Any) -> list[str]:
         """The landmark network, if there is one: the user's own file, or the fetched and verified one."""
@@ -104,20 +104,20 @@ class UserInputs:
     def keypoints(self, wildcards: Any) -> list[str]:
         """Keypoints of one camera: recorded ones, of every chapter where they exist per chapter, or the detector's."""
         camera = wildcards.camera
-        if camera in (*self.plan.person_sources.detected, *self.plan.person_sources.measured):
+        if camera in (*self.plan.person_sources.detector_cameras, *self.plan.person_sources.scale_cameras):
             return [f"results/{wildcards.scene}/detect/found/{camera}.npz"]
         recorded = self.plan.dataset.chapter_keypoints.get(camera, (self.plan.dataset.keypoints[camera],))
         return [self.in_dataset(path) for path in recorded]
 
     def read_keypoints(self, wildcards: Any) -> list[str]:
         """Keypoints of one camera after recorded ones have been read and compared with their film."""
-        if wildcards.camera in (*self.plan.person_sources.detected, *self.plan.person_sources.measured):
+        if wildcards.camera in (*self.plan.person_sources.detector_cameras, *self.plan.person_sources.scale_cameras):
             return self.keypoints(wildcards)
         return [f"results/{wildcards.scene}/detect/recorded/{wildcards.camera}.npz"]
 
     def keypoints_of_other_cameras(self, camera: str) -> list[str]:
         """The other cameras with recorded keypoints, if this camera's are used: two cameras' may be swapped."""
-        looked_for = (*self.plan.person_sources.detected, *self.plan.person_sources.measured)
+        looked_for = (*self.plan.person_sources.detector_cameras, *self.plan.person_sources.scale_cameras)
         if camera in looked_for:
             return []
         return [c for c in self.plan.dataset.keypoints if c != camera and c not in looked_for]
@@ -130,7 +130,7 @@ class UserInputs:
 
     def given_bodies(self, wildcards: Any) -> list[str]:
         """The user's file of a network's bodies of one camera, if bodies are precomputed."""
-        if self.plan.person_sources.bodies != "precomputed":
+        if self.plan.person_sources.body_network != "precomputed":
             return []
         return [self.precomputed("detect", wildcards.camera)]
 
@@ -182,7 +182,7 @@ class UserInputs:
 
     def external_film(self, wildcards: Any) -> list[str]:
         """The film of a shot that the user enhanced with another tool, if films are precomputed."""
-        if self.config["enhance"]["enhancer"] != "precomputed" or self.plan.forced.get("enhancement") == "off":
+        if self.config["enhance"]["enhancer"] != "precomputed" or self.plan.forced_effects.get("enhancement") == "off":
             return []
         return [self.precomputed("enhance", wildcards.shot)]
 

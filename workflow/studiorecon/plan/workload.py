@@ -39,12 +39,12 @@ class Footage:
 
     training: int
     held_out: int
-    detected: int
+    detector_cameras: int
     frames: int
     wh: tuple[int, int]
     people: int
-    counted: bool = True
-    made: bool = False
+    people_known: bool = True
+    synthetic: bool = False
 
 
 @dataclass(frozen=True)
@@ -61,10 +61,14 @@ def measure_footage(plan: Plan, picture_fps: float) -> Footage:
     Recorded keypoints give the number of people: as many as two cameras see in the median frame.
     """
     count = plan.dataset.frame_count
-    cameras = (len(plan.training), len(plan.held_out), len(set(plan.person_sources.detected) & set(plan.training)))
+    cameras = (
+        len(plan.training),
+        len(plan.held_out),
+        len(set(plan.person_sources.detector_cameras) & set(plan.training)),
+    )
     if plan.studio:
         described = read_description(Path(plan.description))
-        return Footage(*cameras, described.frames, described.size, described.people, made=True)
+        return Footage(*cameras, described.frames, described.size, described.people, synthetic=True)
     first = plan.dataset.first_frame
     sources = {camera: open_source(path, picture_fps) for camera, path in plan.dataset.footage.items()}
     lengths = [
@@ -79,7 +83,7 @@ def measure_footage(plan: Plan, picture_fps: float) -> Footage:
         return Footage(*cameras, frames, widest, 0)
     recorded = [_people_in(plan.dataset.keypoints[c], sources[c]) for c in plan.training if c in plan.dataset.keypoints]
     people = max(sorted(recorded)[-2:][0], 1) if recorded else ASSUMED_PEOPLE
-    return Footage(*cameras, frames, widest, people, counted=bool(recorded))
+    return Footage(*cameras, frames, widest, people, people_known=bool(recorded))
 
 
 def _people_in(keypoints: Path, source: FootageSource) -> int:
@@ -96,8 +100,8 @@ def segments_with_views(plan: Plan, config: Mapping[str, Any]) -> int:
     if not config["background"]["views_share"]:
         return 0
     apart = 360.0 / max(len(plan.training), 1) > COVERED_DEG
-    every = max(len(plan.segments) - (plan.forced.get("closed_path") == "off"), 0)
-    return every if plan.forced.get("view_synthesis", "on" if apart else "off") == "on" else 0
+    every = max(len(plan.segments) - (plan.forced_effects.get("closed_path") == "off"), 0)
+    return every if plan.forced_effects.get("view_synthesis", "on" if apart else "off") == "on" else 0
 
 
 def workload(
@@ -119,8 +123,8 @@ def workload(
     looked_at = training * frames
     looked_at_mpx, scene_people = looked_at * picture_mpx, int(people > 0)
     work = {
-        "studio_capture": Work(int(footage.made), everyone * frames * filmed_mpx),
-        "detect_people": Work(footage.detected, frames * max(people, 1) * heavy),
+        "studio_capture": Work(int(footage.synthetic), everyone * frames * filmed_mpx),
+        "detect_people": Work(footage.detector_cameras, frames * max(people, 1) * heavy),
         "detect_keypoints": Work(training, frames),
         "clocks_offsets": Work(1, looked_at),
         "capture_frames": Work(everyone, frames * filmed_mpx),
@@ -129,7 +133,7 @@ def workload(
         "cameras_refine": Work(1, looked_at * people),
         "cameras_held_out": Work(1, footage.held_out * frames * people),
         "people_first_associate": Work(1, looked_at * people),
-        "people_second_look": Work(footage.detected, frames * people),
+        "people_second_look": Work(footage.detector_cameras, frames * people),
         "people_associate": Work(1, looked_at * people),
         "people_fit": Work(people, frames),
         "people_overlay": Work(training * scene_people, frames * picture_mpx),
@@ -146,7 +150,7 @@ def workload(
         **_film_work(footage, picture_mpx, config["render"]["shots"]),
     }
     wanted = {rule: (forced or {}).get(effect) == "on" for rule, effect in ON_DEMAND.items()}
-    return {rule: asked for rule, asked in work.items() if asked.jobs and wanted.get(rule, True)}
+    return {rule: one for rule, one in work.items() if one.jobs and wanted.get(rule, True)}
 
 
 def _depth_work(training: int, wh: tuple[int, int], depth: Mapping[str, Any]) -> dict[str, Work]:

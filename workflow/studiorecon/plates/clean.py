@@ -19,7 +19,7 @@ from typing import TYPE_CHECKING
 import cv2
 import numpy as np
 
-from studiorecon.arrays import evenly_spread
+from studiorecon.arrays import spread_indices
 from studiorecon.body.person_boxes import people_regions
 from studiorecon.camera_files.calibration import find_lens
 from studiorecon.configuration.setting import setting
@@ -167,18 +167,18 @@ def match_exposure(
     """
     if not common.any():
         return given
-    toned = np.stack([_toned(given[..., c], colour[..., c], common) for c in range(3)], axis=-1)
+    toned = np.stack([_match_tone(given[..., c], colour[..., c], common) for c in range(3)], axis=-1)
     usable = common & (toned > 8).all(axis=-1) & (colour > 8).all(axis=-1)
     ratio = np.where(usable[..., None], np.log(np.maximum(colour, 1) / np.maximum(toned, 1)), 0).astype(np.float32)
     # Objects that differ between plate and footage (people, moved props) are not exposure.
-    alike = usable & (channel_max(np.abs(ratio)) < 0.2)
+    is_close = usable & (channel_max(np.abs(ratio)) < 0.2)
     sigma = max(colour.shape[:2]) / 16
-    weight = cv2.GaussianBlur(alike.astype(np.float32), (0, 0), sigma)
-    local = cv2.GaussianBlur(np.where(alike[..., None], ratio, 0).astype(np.float32), (0, 0), sigma)
+    weight = cv2.GaussianBlur(is_close.astype(np.float32), (0, 0), sigma)
+    local = cv2.GaussianBlur(np.where(is_close[..., None], ratio, 0).astype(np.float32), (0, 0), sigma)
     return toned * np.exp(local / (weight + 0.05)[..., None])
 
 
-def _toned(given: np.ndarray, colour: np.ndarray, common: np.ndarray) -> np.ndarray:
+def _match_tone(given: np.ndarray, colour: np.ndarray, common: np.ndarray) -> np.ndarray:
     """(H, W) one channel through the rising curve of the medians of ``colour`` at equal steps of ``given``."""
     source, target = given[common], colour[common]
     step = np.minimum((source / 256 * _TONE_STEPS).astype(int), _TONE_STEPS - 1)
@@ -264,7 +264,7 @@ def run(
     any."""
     options = settings
     about = read_footage(footage)
-    chosen = evenly_spread(about.frames, options.frames)
+    chosen = spread_indices(about.frames, options.frames)
     wanted = set(chosen.tolist())
     frames = np.stack([frame for number, frame in enumerate(read_frames(video)) if number in wanted])
     occupied = np.zeros(frames.shape[:3], bool)

@@ -68,7 +68,7 @@ class Injection:
         paper="literal; U01",
         paper_value="literal",
     )
-    settle: bool = setting(
+    whole_levels: bool = setting(
         True,
         "Inject whole levels only, so that 8-bit feedback forgets moved content.",
         paper="false",
@@ -130,7 +130,7 @@ def inject(
         blended = render * (1 - shares)[..., None] + added
     else:
         blended = render * (1 - np.float32(injection.strength if len(warped) else 0)) + added
-    if injection.settle:
+    if injection.whole_levels:
         blended = render + whole_levels(blended - render)
     return blended.astype(np.float32), shares
 

@@ -52,7 +52,7 @@ def blend_history(
     flows = list(pool.map(lambda past: backward_flow(picture, past.render, search, injection.check), history))
     if flows and injection.check and flows[0][1].mean() < injection.cut_share:
         return None
-    found = list(pool.map(partial(_aligned, render, injection), history, flows))
+    found = list(pool.map(partial(_align_output, render, injection), history, flows))
     return inject(render, [warped for warped, _ in found], [trust for _, trust in found], injection)
 
 
@@ -127,7 +127,7 @@ def is_still(steps: Sequence[PathStep], pictures: Iterable[Integer[np.ndarray, "
     return True
 
 
-def _aligned(
+def _align_output(
     render: np.ndarray, injection: Injection, past: Past, flow: tuple[np.ndarray, np.ndarray]
 ) -> tuple[np.ndarray, np.ndarray]:
     """An earlier output warped to the current picture, and its confidence there."""
@@ -169,7 +169,7 @@ def check_gain(gain: float, strength: float) -> None:
     Else a film settles at (g − 1)/(1 − w·g) above its renders (E14), of which g − 1 is the enhancer's own; a visible
     rest is a warning.
     """
-    answer = f"the enhancer answers a brighter render {gain:.3f} times as brightly, so feeding its outputs back"
+    answer = f"the enhancer multiplies a change of brightness by {gain:.3f}, so feeding its outputs back"
     remedy = "set enhance.injection.history to 0 or use another enhancer"
     if not np.isfinite(gain) or strength * gain >= 1:
         raise UserError(f"{answer} with share {strength} would change the film's brightness without end; {remedy}")

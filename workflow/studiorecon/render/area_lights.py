@@ -50,7 +50,7 @@ def lamp_patches(room_box: RoomBox, spacing_m: float, seen_from_m: Float[np.ndar
     facing = np.concatenate([np.tile(normal, (len(points), 1)) for points, normal in parts])
     inside = Lamps(points, facing, np.full(len(points), spacing_m / np.sqrt(np.pi)))
     for width_m in (2 * spacing_m, 4 * spacing_m):
-        inside = _joined(inside, width_m, room_box.axes @ np.asarray(seen_from_m, np.float64))
+        inside = _merge_lamps(inside, width_m, room_box.axes @ np.asarray(seen_from_m, np.float64))
     sky = []
     for elevation, count in _SKY_RINGS:
         azimuth, rise = np.arange(count) * 2 * np.pi / count, np.radians(elevation)
@@ -67,7 +67,7 @@ def lamp_patches(room_box: RoomBox, spacing_m: float, seen_from_m: Float[np.ndar
     )
 
 
-def _joined(lamps: Lamps, width_m: float, seen_from_m: np.ndarray) -> Lamps:
+def _merge_lamps(lamps: Lamps, width_m: float, seen_from_m: np.ndarray) -> Lamps:
     """The lamps, merged to one per cell of ``width_m`` where the cell is far from ``seen_from_m``."""
     cells = np.concatenate([np.floor(lamps.positions_m / width_m), lamps.facing], axis=1)
     first, cell, count = np.unique(cells, axis=0, return_index=True, return_inverse=True, return_counts=True)[1:]

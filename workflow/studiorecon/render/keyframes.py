@@ -123,7 +123,7 @@ def spline_steps(
     free = [key for key in keys if isinstance(key, FreeKey)]
     if len(free) == len(keys):
         targets = np.stack([subjects.at(key.target, times, name) for key in free])
-        aims = _handed_over(at, targets, pictures)
+        aims = _blend_targets(at, targets, pictures)
         turned = np.stack([look_at(eye, aim) for eye, aim in zip(eyes, aims)])
     else:
         rotations = scipy.spatial.transform.Rotation.from_matrix(
@@ -160,7 +160,7 @@ def _rotation(key: CameraKey | FreeKey, cameras: Sequence[Camera], subjects: Loo
     return look_at(np.asarray(key.eye_m, np.float64), subjects.at(key.target, np.array([key.frame]), name)[0])
 
 
-def _handed_over(at: np.ndarray, targets: np.ndarray, pictures: np.ndarray) -> np.ndarray:
+def _blend_targets(at: np.ndarray, targets: np.ndarray, pictures: np.ndarray) -> np.ndarray:
     """(P, 3) targets over time: from each key's target to the next one's, with a gentle start and end."""
     last = np.clip(np.searchsorted(at, pictures, side="right") - 1, 0, len(at) - 2)
     share = (pictures - at[last]) / (at[last + 1] - at[last])

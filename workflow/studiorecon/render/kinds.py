@@ -15,7 +15,7 @@ from studiorecon.render.orbit import Orbit
 from studiorecon.render.path_file import GivenPath
 
 # Settings of any film except heldout: replacing people is independent of the path (``render/replacement.py``).
-BESIDES = ("replace", "reference")
+EXTRA_OPTIONS = ("replace", "reference")
 
 
 @dataclass(frozen=True)
@@ -42,5 +42,5 @@ def read_film_settings(described: Mapping[str, Any], shot: str) -> Any:
     kind = described.get("kind")
     if kind is None or kind not in KINDS:
         raise UserError(f"shot {shot} is of kind {kind!r}; known kinds are {', '.join(KINDS)}")
-    moves = {name: value for name, value in described.items() if name not in BESIDES}
+    moves = {name: value for name, value in described.items() if name not in EXTRA_OPTIONS}
     return settings_module.load(KINDS[kind], moves, f"render.shots.{shot}")

@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING
 import cv2
 import numpy as np
 
-from studiorecon.arrays import evenly_spread
+from studiorecon.arrays import spread_indices
 from studiorecon.body.capsules import build_occluder
 from studiorecon.body.model import BodyModel
 from studiorecon.body.person_files import read_person
@@ -133,7 +133,7 @@ def estimate_light(
     room_box: RoomBox,
     settings: LightSettings,
 ) -> Light:
-    """The light that explains the floor's changes over ``frames``; not kept if it fails on the last quarter of them."""
+    """The light that explains the floor's changes over ``frames``; not accepted if it fails on their last quarter."""
     nothing = Lamps(np.zeros((0, 3)), np.zeros((0, 3)), np.zeros(0))
     blank = Light(False, "", nothing, np.zeros(0), np.ones(0), 0.0, 0.0, settings.contact_m, room_box.standing_m)
     points, ratio = np.concatenate([o.points_m for o in observed]), np.concatenate([o.ratio for o in observed])
@@ -160,17 +160,17 @@ def estimate_light(
     }
     if not error <= (1 - settings.min_gain) * without:
         verdict = (
-            f"floor near people is off by {without:.2%} without shadows and by "
-            f"{error:.2%} with them in pictures not fitted to"
+            f"in validation pictures, the brightness of the floor near people is off by {without:.2%} without shadows "
+            f"and by {error:.2%} with them"
         )
-        return replace(blank, figures=figures, reason=f"{verdict}, so films are made without")
+        return replace(blank, figures=figures, reason=f"{verdict}, so films have no shadows")
     # The light passed the check; now it is estimated from all pictures.
     found = _light(blank, fit_strengths(lost, falloff / usual, ratio), lamps, usual)
     verdict = (
-        f"{len(found.share)} patches give {found.share.sum():.0%} of the light; floor "
-        f"near people is off by {error:.2%} instead of"
+        f"{len(found.share)} patches give {found.share.sum():.0%} of the light; in validation pictures, the "
+        f"brightness of the floor near people is off by {error:.2%} instead of {without:.2%}"
     )
-    return replace(found, kept=True, figures=figures, reason=f"{verdict} {without:.2%} in pictures not fitted to")
+    return replace(found, accepted=True, figures=figures, reason=verdict)
 
 
 def _error(ratio: np.ndarray, left: np.ndarray, later: np.ndarray) -> float:
@@ -205,7 +205,7 @@ def run(
     if not persons:
         raise UserError("no person is there to cast a shadow: delete moving_shadows from survey.force")
     bodies = bodies_over_time(persons, BodyModel.load(body))
-    frames = evenly_spread(len(bodies), chosen.pictures)
+    frames = spread_indices(len(bodies), chosen.pictures)
     at = np.array([person.trans[frames, :2] for person in persons])
     sure = np.array([person.valid[frames] for person in persons])
     observed = []

@@ -66,13 +66,13 @@ class LookAtTargets:
         """
         if not isinstance(target, str) or target in ("scene", "people"):
             return np.tile(self.still(target, shot), (len(times), 1))
-        return _sampled(_smooth(self._of(self.pelvis_m, target, shot), smooth_s * self.fps), times)
+        return _sample_track(_smooth(self._of(self.pelvis_m, target, shot), smooth_s * self.fps), times)
 
     def facing_at(
         self, person: str, times: Num[np.ndarray, " P"], shot: str, smooth_s: float
     ) -> Float[np.ndarray, " P"]:
         """Azimuth in radians that a person faces at capture frames ``times``; directions are averaged, not angles."""
-        smooth = _sampled(_smooth(self._of(self.facing, person, shot), smooth_s * self.fps), times)
+        smooth = _sample_track(_smooth(self._of(self.facing, person, shot), smooth_s * self.fps), times)
         return np.arctan2(smooth[:, 1], smooth[:, 0])
 
     def _of(self, tracks: Mapping[str, np.ndarray], person: str, shot: str) -> np.ndarray:
@@ -90,5 +90,5 @@ def _smooth(track: np.ndarray, sigma_frames: float) -> np.ndarray:
     return scipy.ndimage.gaussian_filter1d(track, sigma_frames, axis=0, mode="nearest")
 
 
-def _sampled(track: np.ndarray, times: np.ndarray) -> np.ndarray:
+def _sample_track(track: np.ndarray, times: np.ndarray) -> np.ndarray:
     return np.stack([np.interp(times, np.arange(len(track)), column) for column in track.T], axis=1)

@@ -137,7 +137,7 @@ def hidden_shares(
     shares = np.zeros((groups.count, len(lamps), LANES), np.float32)
     discs = np.ascontiguousarray(lamps, np.float32)
     nothing = np.zeros(0, np.float32)
-    _hide(groups.places, groups.spheres, discs, *pack_capsules(bodies), nothing, shares.reshape(-1), nothing)
+    _hide_discs(groups.places, groups.spheres, discs, *pack_capsules(bodies), nothing, shares.reshape(-1), nothing)
     return groups.of_points(shares.transpose(0, 2, 1).reshape(-1, len(lamps)))
 
 
@@ -150,7 +150,7 @@ def hidden_light(
     """Float32 sum over lamps of ``parts`` times the hidden share; ``parts`` are those of ``grouped``."""
     out = np.zeros(groups.count * LANES, np.float32)
     discs = np.ascontiguousarray(lamps, np.float32)
-    _hide(groups.places, groups.spheres, discs, *pack_capsules(bodies), parts, np.zeros(0, np.float32), out)
+    _hide_discs(groups.places, groups.spheres, discs, *pack_capsules(bodies), parts, np.zeros(0, np.float32), out)
     return groups.of_points(out)
 
 
@@ -168,7 +168,7 @@ def body_proximity(
     curve)."""
     groups = points_m if isinstance(points_m, Groups) else Groups.of(points_m)
     gaps = np.empty(groups.count * LANES, np.float32)
-    _gaps(groups.places, groups.spheres, *pack_capsules(bodies), float32(_REACHES * reach_m), gaps)
+    _surface_distances(groups.places, groups.spheres, *pack_capsules(bodies), float32(_REACHES * reach_m), gaps)
     near = np.exp(-np.square(np.maximum(gaps, 0) / np.float32(reach_m), dtype=np.float32))
     return groups.of_points(np.where(gaps < _REACHES * reach_m, near, np.float32(0)))
 
@@ -201,7 +201,7 @@ def _near_ray(cx, cy, cz, radius, disc, capsule):
 
 
 @njit(**INLINE)
-def _uncovered(px, py, pz, lx, ly, lz, away, spread, capsule):
+def _visible_share(px, py, pz, lx, ly, lz, away, spread, capsule):
     """Share of a disc that one capsule leaves visible, from the distance of its axis to the ray to the disc's
     middle."""
     ux, uy, uz = capsule[3] - capsule[0], capsule[4] - capsule[1], capsule[5] - capsule[2]
@@ -227,12 +227,12 @@ def _uncovered(px, py, pz, lx, ly, lz, away, spread, capsule):
 
 
 @njit(**KERNEL)
-def _left(places, at, disc, capsule):
+def _visible_shares(places, at, disc, capsule):
     """Share of a disc that a capsule leaves visible to the sixteen points at ``at``."""
     px, py, pz = load(places, at), load(places, at + LANES), load(places, at + 2 * LANES)
     lx, ly, lz = disc[0] - px, disc[1] - py, disc[2] - pz
     away = most(root(lx * lx + ly * ly + lz * lz), broadcast(float32(1e-6)))
-    return _uncovered(px, py, pz, lx / away, ly / away, lz / away, away, disc[3] / away, capsule)
+    return _visible_share(px, py, pz, lx / away, ly / away, lz / away, away, disc[3] / away, capsule)
 
 
 @njit(**KERNEL)
@@ -256,13 +256,13 @@ def _hide_heap(places, spheres, heap, disc, capsules, starts, near, left):
             while bits:
                 group = lowest_bit(bits)
                 bits &= bits - 1
-                covered = _left(places, (heap * LANES + group) * 3 * LANES, disc, capsules[c])
+                covered = _visible_shares(places, (heap * LANES + group) * 3 * LANES, disc, capsules[c])
                 store(left, group * LANES, load(left, group * LANES) * covered)
     return shaded
 
 
 @njit(parallel=True, nogil=True, **KERNEL)
-def _hide(places, spheres, discs, capsules, balls, starts, parts, shares, sums):
+def _hide_discs(places, spheres, discs, capsules, balls, starts, parts, shares, sums):
     """Fills ``shares`` with the hidden share of every disc, or, given ``parts``, adds their product to ``sums``."""
     lamps = len(discs)
     for heap in prange(len(spheres) // (4 * LANES)):
@@ -288,7 +288,7 @@ def _hide(places, spheres, discs, capsules, balls, starts, parts, shares, sums):
 
 
 @njit(nogil=True, **KERNEL)
-def _gaps(places, spheres, capsules, balls, starts, reach, gaps):
+def _surface_distances(places, spheres, capsules, balls, starts, reach, gaps):
     """Fills ``gaps`` (G, 16) with the distance to the nearest capsule's surface, exact below ``reach``."""
     for g in range(len(gaps) // LANES):
         sphere = (g // LANES) * 4 * LANES + g % LANES

@@ -83,7 +83,7 @@ def clear_path(
     ``path`` makes the steps from a factor on the distance of each picture. If no factor gives a clear path, it keeps
     its full distance; the ledger of the shot says so (``render/statistics.py``).
     """
-    inside = np.array([_blocked(path(np.full(pictures, shrink)), background, clearance_m) for shrink in _SHRINK])
+    inside = np.array([_blocked_steps(path(np.full(pictures, shrink)), background, clearance_m) for shrink in _SHRINK])
     clear = ~inside.all(axis=0)
     factors = np.where(clear, np.array(_SHRINK)[np.argmin(inside, axis=0)], 1.0)
     if inside[0].any():
@@ -106,5 +106,5 @@ def smooth_dips(factors: Float[np.ndarray, " pictures"]) -> Float[np.ndarray, " 
     return factors[around].min(axis=1)[around] @ (window / window.sum())
 
 
-def _blocked(steps: list[PathStep], background: Gaussians, clearance_m: float) -> np.ndarray:
+def _blocked_steps(steps: list[PathStep], background: Gaussians, clearance_m: float) -> np.ndarray:
     return is_blocked(np.array([step.camera.centre_m for step in steps]), background, clearance_m)

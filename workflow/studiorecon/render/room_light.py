@@ -34,10 +34,10 @@ _LAMP = {
     "facing": real("3", low=-1, high=1),
     "radius_m": metres(low=0),
     "share": real(low=0),
-    "usual": real(low=0),
+    "mean_falloff": real(low=0),
 }
 _LIGHT = {
-    "kept": flag(),
+    "accepted": flag(),
     "reason": text(),
     "sky": real(low=0),
     "contact": real(low=0),
@@ -87,21 +87,21 @@ class Light:
     """The estimated light.
 
     Attributes:
-        kept: whether it predicts pictures that it was not fitted to; otherwise films leave it out.
+        accepted: whether it predicts pictures that it was not fitted to; otherwise films leave it out.
         reason: one sentence.
         lamps: patches that give light.
         share: of the light of an unshaded floor, averaged over where it was measured.
-        usual: mean fall-off there.
+        mean_falloff: mean fall-off there.
         sky, contact, contact_m: strengths of the two other terms; reach of the latter.
         floor_m: height of the floor.
         figures: measures of the fit.
     """
 
-    kept: bool
+    accepted: bool
     reason: str
     lamps: Lamps
     share: Float[np.ndarray, " K"]
-    usual: Float[np.ndarray, " K"]
+    mean_falloff: Float[np.ndarray, " K"]
     sky: float
     contact: float
     contact_m: float
@@ -119,7 +119,7 @@ class LitPoints:
     """N points that face up under a light, with everything precomputed that does not depend on bodies."""
 
     def __init__(self, light: Light, points_m: Float[np.ndarray, "N 3"]) -> None:
-        part = light.share * light.lamps.falloff(points_m) / light.usual
+        part = light.share * light.lamps.falloff(points_m) / light.mean_falloff
         self._light, self._groups = light, Groups.of(points_m)
         self._total = np.maximum(1 + part.sum(axis=1) - light.share.sum(), _MIN_TOTAL)
         self._discs = light.lamps.discs
@@ -143,12 +143,12 @@ class LitPoints:
 def write_light(path: Path, light: Light) -> None:
     """Write the light, with one entry per lamp."""
     lamps = [
-        {"position_m": p, "facing": f, "radius_m": r, "share": s, "usual": u}
+        {"position_m": p, "facing": f, "radius_m": r, "share": s, "mean_falloff": u}
         for p, f, r, s, u in zip(
-            light.lamps.positions_m, light.lamps.facing, light.lamps.radius_m, light.share, light.usual
+            light.lamps.positions_m, light.lamps.facing, light.lamps.radius_m, light.share, light.mean_falloff
         )
     ]
-    others = ("kept", "reason", "sky", "contact", "contact_m", "floor_m", "figures")
+    others = ("accepted", "reason", "sky", "contact", "contact_m", "floor_m", "figures")
     write_json(path, {name: getattr(light, name) for name in others} | {"lamps": lamps})
 
 
@@ -159,8 +159,10 @@ def read_light(path: Path) -> Light:
 
 def _light(value: dict[str, Any]) -> Light:
     made = value.pop("lamps")
-    radius_m, share, usual = (np.array([lamp[n] for lamp in made], np.float64) for n in ("radius_m", "share", "usual"))
+    radius_m, share, mean_falloff = (
+        np.array([lamp[n] for lamp in made], np.float64) for n in ("radius_m", "share", "mean_falloff")
+    )
     position_m, facing = (
         np.array([lamp[n] for lamp in made], np.float64).reshape(-1, 3) for n in ("position_m", "facing")
     )
-    return Light(lamps=Lamps(position_m, facing, radius_m), share=share, usual=usual, **value)
+    return Light(lamps=Lamps(position_m, facing, radius_m), share=share, mean_falloff=mean_falloff, **value)

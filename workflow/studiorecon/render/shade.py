@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 
-from studiorecon.arrays import evenly_spread
+from studiorecon.arrays import spread_indices
 from studiorecon.progress import progress, say
 from studiorecon.render.room_light import read_light
 from studiorecon.render.shading import build_shading
@@ -23,11 +23,11 @@ MOMENTS = 120
 def run(manifest: Path, files: SceneFiles, light: Path, shade: Written) -> None:
     """Write indices ``at`` of the room's shadeable Gaussians, frames ``times``, and ``factors`` on their colours.
 
-    All are empty if the ``light`` was not kept.
+    All are empty if the ``light`` was not accepted.
     """
     (room, _), people = files.room(), files.people()
     found = build_shading(read_light(light), room, people, people, files.things())
-    times = evenly_spread(read_manifest(manifest).frames, MOMENTS)
+    times = spread_indices(read_manifest(manifest).frames, MOMENTS)
     if found is None:
         say("shade: no light explains the shadows, so people cast none")
         write_npz(shade, {"at": np.zeros(0, np.int64), "times": times, "factors": np.zeros((len(times), 0))})

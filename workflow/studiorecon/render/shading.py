@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 import numba
 import numpy as np
 
-from studiorecon.arrays import evenly_spread
+from studiorecon.arrays import spread_indices
 from studiorecon.body.avatar.avatar_files import Avatar
 from studiorecon.body.capsules import Occluder, build_occluder
 from studiorecon.geometry import rotations
@@ -38,20 +38,20 @@ class Shading:
     Attributes:
         lit: the Gaussians that can be shaded, under the estimated light.
         at, facing: their indices in the room, ascending, and how far each faces up, 0..1.
-        usual: share of its light that each had in the plates.
+        plate_light: share of its light that each had in the plates.
         casters: people with their capsules: those that a shot shows, including stand-ins.
     """
 
     lit: LitPoints
     at: Integer[np.ndarray, " M"]
     facing: Float[np.ndarray, " M"]
-    usual: Float[np.ndarray, " M"]
+    plate_light: Float[np.ndarray, " M"]
     casters: Sequence[tuple[Avatar, Occluder]]
     things: Sequence[RigidObject] = ()
 
     def factor(self, frame: float) -> Float[np.ndarray, " M"]:
         """Float32 factors on the plates' colours of the Gaussians ``at`` at a frame; see ``dim_gaussians``."""
-        left = self.lit.remaining_light(_bodies(self.casters, self.things, frame)) / self.usual
+        left = self.lit.remaining_light(_bodies(self.casters, self.things, frame)) / self.plate_light
         return (1 - self.facing * (1 - left)).astype(np.float32)
 
 
@@ -62,25 +62,25 @@ def build_shading(
     filmed: Sequence[Avatar],
     things: Sequence[RigidObject] = (),
 ) -> Shading | None:
-    """The shadows of ``people`` and ``things`` on the room; None when the light was not kept or nothing casts one.
+    """The shadows of ``people`` and ``things`` on the room; None if the light was not accepted or nothing casts one.
 
     ``filmed`` are the people of the footage: where they, or objects, shade the floor most of the time, a clean plate
     contains that shade, and the room with it. It is computed by the plate's own rule and divided out.
     """
-    if not light.kept or not (people or things):
+    if not light.accepted or not (people or things):
         return None
     facing = upward_share(room, light.floor_m)
     at = np.flatnonzero(facing > _MIN_FACING)
     casters = [(person, build_occluder(person.model, person.betas)) for person in filmed]
     last = filmed[0].frames - 1 if filmed else len(things[0].centres_m) - 1 if things else 0
-    moments = evenly_spread(last + 1, _MOMENTS)
+    moments = spread_indices(last + 1, _MOMENTS)
     lit = LitPoints(light, room.means_m[at])
-    usual = robust_mode(np.stack([lit.remaining_light(_bodies(casters, things, float(m))) for m in moments]))
+    plate_light = robust_mode(np.stack([lit.remaining_light(_bodies(casters, things, float(m))) for m in moments]))
     return Shading(
         lit,
         at,
         facing[at],
-        usual,
+        plate_light,
         [(person, build_occluder(person.model, person.betas)) for person in people],
         things,
     )

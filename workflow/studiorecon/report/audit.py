@@ -41,17 +41,17 @@ def appearance_decisions(avatars: Sequence[Path]) -> dict[str, Decision | None]:
 
 def decide_appearance_network(found: Mapping[str, Decision | None], threshold: float) -> Decision:
     """One decision from the people's own: that of the strongest case; without any it reports ``threshold``."""
-    asked = {name: (d.value, d) for name, d in found.items() if d is not None and d.value is not None}
-    if not asked:
+    measured = {name: (d.value, d) for name, d in found.items() if d is not None and d.value is not None}
+    if not measured:
         why = (
             "no person was trained"
             if not found
             else f"human training did not measure it, or saw too little of {', '.join(found)}"
         )
         return TEMPORAL_APPEARANCE.decide(None, None, f"not measured here: {why}", threshold=threshold)
-    _, most = max(asked.values(), key=lambda pair: (pair[1].called_for, pair[0]))
-    detail = {name: {"value": value, "verdict": d.verdict} for name, (value, d) in asked.items()}
-    return replace(most, obeyed_by=TEMPORAL_APPEARANCE.obeyed_by, detail=detail)
+    _, most = max(measured.values(), key=lambda pair: (pair[1].is_on, pair[0]))
+    detail = {name: {"value": value, "verdict": d.verdict} for name, (value, d) in measured.items()}
+    return replace(most, used_by=TEMPORAL_APPEARANCE.used_by, detail=detail)
 
 
 def film_decisions(files: Sequence[Path]) -> list[Decision]:
@@ -61,7 +61,7 @@ def film_decisions(files: Sequence[Path]) -> list[Decision]:
     for effect in FILMED:
         measured = [decisions[effect.name] for decisions in found if effect.name in decisions]
         if measured:
-            made.append(max(measured, key=lambda one: (one.called_for, one.value is not None, one.value or 0.0)))
+            made.append(max(measured, key=lambda one: (one.is_on, one.value is not None, one.value or 0.0)))
         else:
             made.append(effect.decide(None, None, "no film was made to measure it on"))
     return made

@@ -13,7 +13,7 @@ from typing import Any
 
 import cv2
 
-from studiorecon.arrays import evenly_spread
+from studiorecon.arrays import spread_indices
 from studiorecon.body.person_files import read_person
 from studiorecon.camera_files.colmap import read_model
 from studiorecon.footage.exr import read_depth
@@ -130,7 +130,7 @@ def player(poster: Path, page: Path) -> str:
 
 def spread_frames(frames: int, wanted: int) -> list[int]:
     """``wanted`` frames spread over a clip without its ends; fewer when the clip is shorter."""
-    return [int(frame) for frame in evenly_spread(frames, wanted + 2)[1:-1]] if wanted else []
+    return [int(frame) for frame in spread_indices(frames, wanted + 2)[1:-1]] if wanted else []
 
 
 def room_pictures(plates: Sequence[Path], depths: Sequence[Path], width: int) -> list[str]:
@@ -218,7 +218,7 @@ def people_section(
         found = [read_detections(path) for path in people.detections]
         parts.append(timeline.timeline_strip(timeline.frames_with_detections(found, whose, names, frames), names))
     parts += [
-        sections.left_out_people(read(path, _SHOWN, lambda held: held["left_out"])) for path in people.association
+        sections.rejected_people_table(read(path, _SHOWN, lambda held: held["left_out"])) for path in people.association
     ]
     if people.masks:
         videos = [made.folder / "capture" / f"{mask.stem}.mkv" for mask in people.masks]

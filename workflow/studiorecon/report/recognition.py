@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from studiorecon.arrays import evenly_spread
+from studiorecon.arrays import spread_indices
 from studiorecon.detector.frame_detection import Detector
 from studiorecon.detector.network_files import DetectorFiles
 from studiorecon.detector.tracking import keypoints_with_confidence
@@ -38,19 +38,19 @@ def run(files: ScoredFilmFiles, networks: list[Path], recognition: Written) -> N
     """Write the scores of the film as rendered (``raw``) and as ``enhanced``, by the detector of ``networks``."""
     opened = DetectorFiles(networks)
     detector, worth = opened.detector(), opened.worth()
-    judged = files.read()
-    found: dict[str, list[tuple[list[np.ndarray], list[TruePerson]]]] = {name: [] for name in judged.films}
-    for camera in progress(judged.cameras if judged.films else [], "cameras"):
-        for frame in evenly_spread(judged.capture.frames, _MOMENTS):
-            photo = _picture(judged.footage[camera.name], int(frame))
+    scored = files.read()
+    found: dict[str, list[tuple[list[np.ndarray], list[TruePerson]]]] = {name: [] for name in scored.films}
+    for camera in progress(scored.cameras if scored.films else [], "cameras"):
+        for frame in spread_indices(scored.capture.frames, _MOMENTS):
+            photo = _picture(scored.footage[camera.name], int(frame))
             people = [
                 person
                 for one in detect_keypoints(detector, photo, worth)
                 if (person := reference_person(one)) is not None
             ]
             compared: list[tuple[np.ndarray, list[np.ndarray]]] = []
-            for name, film in judged.films.items():
-                drawn = _picture(film, judged.starts[camera.name] + int(frame))[: photo.shape[0], : photo.shape[1]]
+            for name, film in scored.films.items():
+                drawn = _picture(film, scored.starts[camera.name] + int(frame))[: photo.shape[0], : photo.shape[1]]
                 # Where nothing was enhanced, the two films are one.
                 points = next((points for other, points in compared if np.array_equal(other, drawn)), None)
                 if points is None:

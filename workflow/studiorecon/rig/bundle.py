@@ -203,7 +203,7 @@ def remove_radial(seen: Observations, cameras: Sequence[Camera], radial: Num[np.
 def choose_lens_terms(
     cameras: Sequence[Camera],
     fit_on: Observations,
-    judge_on: Observations,
+    validation: Observations,
     limits: Limits,
     bundle: BundleSettings,
     lens: LensSettings,
@@ -211,9 +211,9 @@ def choose_lens_terms(
     """Whether focal lengths, or these and a radial term, explain the validation split better than ``cameras``.
 
     ``cameras``: the best with poses only, fitted on ``fit_on``. A term is required when some camera's change is
-    ``min_sigmas`` of its own sigmas and the median error on ``judge_on`` falls by a further ``gain``.
+    ``min_sigmas`` of its own sigmas and the median error on ``validation`` falls by a further ``gain``.
     """
-    before = error_medians(cameras, judge_on, limits)[0]
+    before = error_medians(cameras, validation, limits)[0]
     report: dict[str, Any] = {"unseen_poses_only_px": before, "focal": False, "radial": False}
     best = before
     for name, prior, column in (
@@ -223,7 +223,7 @@ def choose_lens_terms(
         result = fit_cameras(cameras, fit_on, limits, bundle, prior, close=True)
         if result is None:
             break
-        after = error_medians(result.cameras, remove_radial(judge_on, result.cameras, result.radial), limits)[0]
+        after = error_medians(result.cameras, remove_radial(validation, result.cameras, result.radial), limits)[0]
         longer = np.array([c.focal_px[0] / g.focal_px[0] for c, g in zip(result.cameras, cameras)])
         change = result.radial if name == "radial" else np.log(longer)
         sigmas = float(np.max(np.abs(change) / np.maximum(result.sigma[:, column], 1e-9)))

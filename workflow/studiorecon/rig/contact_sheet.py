@@ -44,8 +44,8 @@ def contact_sheet(
         text = camera.name + (
             "" if last is None else f"  {first:.1f} -> {last:.1f} px" if first is not None else f"  {last:.1f} px"
         )
-        tiles.append(_labelled(tile, text))
-    tiles.append(_labelled(_from_above(training, held_out, points_m), "from above, grid 1 m"))
+        tiles.append(_add_label(tile, text))
+    tiles.append(_add_label(_from_above(training, held_out, points_m), "from above, grid 1 m"))
     return _in_rows(tiles)
 
 
@@ -109,7 +109,7 @@ def _from_above(training: Sequence[Camera], held_out: Sequence[Camera], points_m
     return tile
 
 
-def _labelled(tile: np.ndarray, text: str) -> np.ndarray:
+def _add_label(tile: np.ndarray, text: str) -> np.ndarray:
     band = np.full((_MARGIN, tile.shape[1], 3), 255, dtype=np.uint8)
     cv2.putText(band, text, (6, 19), cv2.FONT_HERSHEY_SIMPLEX, 0.45, _INK, 1, cv2.LINE_AA)
     return np.concatenate([band, tile], axis=0)

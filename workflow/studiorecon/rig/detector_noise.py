@@ -33,7 +33,7 @@ class DetectorNoise:
     shared_m: float
 
     @classmethod
-    def usual(cls, cameras: Sequence[Camera], limits: Limits) -> DetectorNoise:
+    def typical(cls, cameras: Sequence[Camera], limits: Limits) -> DetectorNoise:
         """The usual noise, for a detector that has not been measured."""
         return cls(unit_px(cameras, limits) / 2, SHARED_M)
 

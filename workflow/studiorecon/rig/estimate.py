@@ -15,7 +15,7 @@ from studiorecon.estimate.factors.bones import bone_factors
 from studiorecon.estimate.factors.edges import room_edges
 from studiorecon.estimate.factors.feet import feet_on_floor
 from studiorecon.estimate.factors.keypoints import keypoint_factor, viewing_sides
-from studiorecon.estimate.factors.lenses import alike_lenses, known_lenses
+from studiorecon.estimate.factors.lenses import known_lenses, similar_lenses
 from studiorecon.estimate.solver import Solution, solve
 from studiorecon.estimate.unknowns import LOG_FOCAL, PER_CAMERA, PRINCIPAL, RADIAL, Unknowns
 from studiorecon.geometry.triangulation import Limits, triangulate
@@ -24,7 +24,7 @@ from studiorecon.rig.correspondences import Observations, make_observations
 from studiorecon.rig.detector_noise import DetectorNoise, measure_detector_noise, shared_cells
 from studiorecon.rig.floor_marks import FloorMarks
 from studiorecon.rig.from_tracks import BONES, MIN_SHARED, Rig, Sightings
-from studiorecon.rig.lens_knowledge import LensKnowledge, distort_points, straight_points, undistort_tracks
+from studiorecon.rig.lens_knowledge import LensKnowledge, distort_points, undistort_points, undistort_tracks
 from studiorecon.rig.room_turns import RoomTurn
 from studiorecon.scene.camera import Camera
 
@@ -110,13 +110,13 @@ def estimate_rig(
 
     It starts at ``cameras`` and groups people again between rounds.
     """
-    found, noise = None, DetectorNoise.usual(cameras, limits)
+    found, noise = None, DetectorNoise.typical(cameras, limits)
     # Lenses differ at first: from equal ones, a lens of another make would not be released.
     alone = replace(knowledge, makes=tuple(range(len(cameras))))
     current, k1 = list(cameras), np.asarray(radial, float)
     for number in range(_ROUNDS):
         outliers = limits.outlier_units * (_LOOSE if number == 0 else _NARROW)
-        rig = _grouped(current, k1, seen, gate_m, replace(limits, outlier_units=outliers))
+        rig = _group_people(current, k1, seen, gate_m, replace(limits, outlier_units=outliers))
         if rig is None:
             return found
         before, found = found, estimate_once(rig, k1, knowledge if number else alone, template_m, noise)
@@ -143,7 +143,7 @@ def add_room_evidence(
     return after, bool(after.people_cost - found.people_cost <= chi2.ppf(_LEVEL, numbers))
 
 
-def _grouped(
+def _group_people(
     cameras: Sequence[Camera], radial: np.ndarray, seen: Sightings, gate_m: float, limits: Limits
 ) -> Rig | None:
     """People as ``cameras`` see them without distortion; None where they are too few."""
@@ -181,7 +181,7 @@ def estimate_once(
     template = np.linalg.norm(template_m[BONES[:_KINDS, 0]] - template_m[BONES[:_KINDS, 1]], axis=-1)
     usual_m = np.tile(template, len(people))
     first, second, kind = _bones(place)
-    alike = _alike(seen, points_m, person, place, cameras[0])
+    repeats = _count_repeats(seen, points_m, person, place, cameras[0])
     lower, axes, floor = _lower_ankles(place, points_m)
     marks, on_floor = _marks(room.marks, cameras, radial)
     every_m = np.concatenate([points_m, on_floor])
@@ -195,10 +195,10 @@ def estimate_once(
     of_people = keypoint_factor(start, view, point, pixels, sigma_px, aspect)
     factors: list[Factor] = [
         of_people,
-        *bone_factors(start, first, second, kind, alike[first], usual_m),
-        *([feet_on_floor(start, lower, axes, alike[lower])] if len(lower) else []),
+        *bone_factors(start, first, second, kind, repeats[first], usual_m),
+        *([feet_on_floor(start, lower, axes, repeats[lower])] if len(lower) else []),
         known_lenses(start, knowledge.expected, knowledge.sigma),
-        *alike_lenses(start, knowledge.makes),
+        *similar_lenses(start, knowledge.makes),
     ]
     of_room: list[Factor] = []
     if room.turns:
@@ -235,7 +235,7 @@ def _edges(
     """View, ends (distorted pixels) and direction of every edge that runs along one, and the directions."""
     views, ends, axes = [], [], []
     for v, turn in room.turns.items():
-        points = straight_points(room.edges[v].reshape(-1, 2), cameras[v], radial[v]).reshape(-1, 2, 2)
+        points = undistort_points(room.edges[v].reshape(-1, 2), cameras[v], radial[v]).reshape(-1, 2, 2)
         rays = (points - cameras[v].principal_px) / np.array(cameras[v].focal_px)
         rays = np.concatenate([rays, np.ones((len(points), 2, 1))], axis=-1)
         normals = np.cross(rays[:, 0], rays[:, 1])
@@ -255,7 +255,7 @@ def _marks(
     """Those of the floor's points that the cameras see in one place, and these places."""
     if marks is None:
         return None, np.zeros((0, 3))
-    straight = np.stack([straight_points(p, c, k1) for p, c, k1 in zip(marks.pixels, cameras, radial)])
+    straight = np.stack([undistort_points(p, c, k1) for p, c, k1 in zip(marks.pixels, cameras, radial)])
     # Matches were compared before; the cameras may still be off by more than their sigma.
     found = triangulate(straight, np.isfinite(straight).all(-1).astype(float), cameras, _MARKS_MEET)
     return marks.of(found.valid), found.points_m[found.valid]
@@ -276,7 +276,7 @@ def _bones(place: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     return ends[who, when, bone, 0], ends[who, when, bone, 1], who * _KINDS + bone % _KINDS
 
 
-def _alike(
+def _count_repeats(
     seen: Observations, points_m: np.ndarray, person: np.ndarray, place: np.ndarray, camera: Camera
 ) -> np.ndarray:
     """(N,) in how many frames the person of each point is in that place, seen from that side by ``camera``."""

@@ -102,7 +102,7 @@ class FloorMarks:
 
 
 @dataclass(frozen=True)
-class _Laid:
+class _FloorImage:
     """A picture projected onto the floor: (H, W, 2) doubled directions of edges (both sides of an edge are one), with
     their strength up to 1, and (H, W) where the floor is known."""
 
@@ -133,11 +133,11 @@ def floor_marks(
     pixel_m = np.array([_pixel_m(camera, middle) for camera in cameras])
     # The pictures' resolution, within the useful range.
     place_m = float(np.clip(np.median(pixel_m[views]), _FINEST_M, _WIDEST_M))
-    laid = {v: _laid(rooms[v], cameras[v], _grid(middle_m, place_m), plane_m) for v in views}
+    laid = {v: _project_to_floor(rooms[v], cameras[v], _grid(middle_m, place_m), plane_m) for v in views}
     places: list[tuple[int, np.ndarray, dict[int, np.ndarray]]] = []
     seen_by: dict[tuple[int, int], int] = {}
     for a in views:
-        at = _edged_places(laid[a], place_m)
+        at = _edge_places(laid[a], place_m)
         patches = [_patch(laid[a], place, place_m) for place in at]
         again = {
             b: _match_back(patches, at, laid[b], shifts[a, b] if (a, b) in shifts else -shifts[b, a], place_m)
@@ -146,7 +146,7 @@ def floor_marks(
         }
         # Most have no match, so their surroundings need no check.
         some = np.any([np.isfinite(moved[:, 0]) for moved in again.values()], axis=0).tolist()
-        alone = np.array([s and _alone(laid[a], place, place_m, reach_m) for s, place in zip(some, at)], bool)
+        alone = np.array([s and _is_distinct(laid[a], place, place_m, reach_m) for s, place in zip(some, at)], bool)
         found: dict[int, np.ndarray] = {}
         for b, moved in again.items():
             agreed = _one_homography(at[alone], moved[alone], place_m)
@@ -184,7 +184,7 @@ def _pixel_m(camera: Camera, place_m: np.ndarray) -> float:
     return away_m / float(np.mean(camera.focal_px)) / float(np.sqrt(max(slope, 0.1)))
 
 
-def _laid(room: RoomPicture | None, camera: Camera, grid_m: np.ndarray, plane_m: float) -> _Laid:
+def _project_to_floor(room: RoomPicture | None, camera: Camera, grid_m: np.ndarray, plane_m: float) -> _FloorImage:
     assert room is not None
     shape = grid_m.shape[:2]
     pixels, depth_m = camera.project(np.concatenate([grid_m, np.full((*shape, 1), plane_m)], axis=-1).reshape(-1, 3))
@@ -205,7 +205,7 @@ def _laid(room: RoomPicture | None, camera: Camera, grid_m: np.ndarray, plane_m:
     weight = np.where(known & (strength > 0.25 * usual), np.minimum(strength / max(usual, 1e-6), 1.0), 0.0)
     per = weight / np.maximum(strength, 1e-6) ** 2
     edges = np.stack([(across**2 - down**2) * per, 2 * across * down * per], axis=-1)
-    return _Laid(edges.astype(np.float32), known)
+    return _FloorImage(edges.astype(np.float32), known)
 
 
 def _spacing_px(pixels: np.ndarray) -> np.ndarray:
@@ -228,7 +228,7 @@ def _coarse(
     grid_m, reach = _grid(middle_m, _COARSE_M), max(1, round(reach_m / _COARSE_M))
     best: tuple[float, float, dict[tuple[int, int], np.ndarray]] | None = None
     for plane_m in height_m + _HEIGHTS_M:
-        spectra = {v: _spectra(_laid(rooms[v], cameras[v], grid_m, plane_m)) for v in views}
+        spectra = {v: _spectra(_project_to_floor(rooms[v], cameras[v], grid_m, plane_m)) for v in views}
         total, shifts = 0.0, {}
         for a, b in itertools.combinations(views, 2):
             score = _correlate(spectra[a], spectra[b], grid_m.shape[:2], reach)
@@ -241,7 +241,7 @@ def _coarse(
     return best[1], best[2]
 
 
-def _spectra(laid: _Laid) -> np.ndarray:
+def _spectra(laid: _FloorImage) -> np.ndarray:
     """(4, H', W') padded Fourier transforms of the edges' two parts, of their squared strength and of known cells."""
     shape = [scipy.fft.next_fast_len(2 * n, real=True) for n in laid.known.shape]
     across, down = np.moveaxis(laid.edges, -1, 0)
@@ -259,41 +259,41 @@ def _correlate(first: np.ndarray, second: np.ndarray, shape: Sequence[int], reac
     edges, of_first, of_second, shared = scipy.fft.irfft2(np.stack([*products, known * other_known]), padded)[
         :, at[:, None], at
     ]
-    alike = edges / np.sqrt(np.maximum(of_first, 1.0) * np.maximum(of_second, 1.0))
-    return np.where(shared > 1.0 / _COARSE_M**2, alike, -1.0)
+    similarity = edges / np.sqrt(np.maximum(of_first, 1.0) * np.maximum(of_second, 1.0))
+    return np.where(shared > 1.0 / _COARSE_M**2, similarity, -1.0)
 
 
 def _half(place_m: float) -> int:
     return max(1, round(_PATCH_M / 2 / place_m))
 
 
-def _edged_places(laid: _Laid, place_m: float) -> np.ndarray:
+def _edge_places(laid: _FloorImage, place_m: float) -> np.ndarray:
     """(K, 2) columns and rows of the middles of patches of known floor that have edges."""
     half, step = _half(place_m), max(1, round(_EVERY_M / place_m))
     size, (height, width) = (2 * half + 1, 2 * half + 1), laid.known.shape
-    share = cv2.boxFilter(_edged(laid.edges).astype(np.float32), -1, size)
+    share = cv2.boxFilter(_has_edge(laid.edges).astype(np.float32), -1, size)
     seen = cv2.boxFilter(laid.known.astype(np.float32), -1, size)
     rows, columns = np.meshgrid(range(half, height - half, step), range(half, width - half, step), indexing="ij")
     wanted = (share[rows, columns] >= _MIN_EDGES) & (seen[rows, columns] >= 0.9)
     return np.stack([columns[wanted], rows[wanted]], axis=1)
 
 
-def _patch(laid: _Laid, place: np.ndarray, place_m: float) -> np.ndarray:
+def _patch(laid: _FloorImage, place: np.ndarray, place_m: float) -> np.ndarray:
     column, row, half = *place, _half(place_m)
     return laid.edges[row - half : row + half + 1, column - half : column + half + 1]
 
 
-def _alone(laid: _Laid, place: np.ndarray, place_m: float, reach_m: float) -> bool:
+def _is_distinct(laid: _FloorImage, place: np.ndarray, place_m: float, reach_m: float) -> bool:
     """Whether the patch at a cell differs from all of its neighbourhood."""
     beside = max(1, round(_BESIDE_M / place_m))
     reach = max(2 * beside, round(reach_m / place_m))
     around = _window(laid.edges, place[1], place[0], _half(place_m) + reach)
-    alike = cv2.matchTemplate(around, _patch(laid, place, place_m), cv2.TM_CCORR_NORMED)
-    alike[_disc(alike.shape, reach, reach, beside)] = -1
-    return bool(alike.max() < _SELF_ALIKE)
+    similarity = cv2.matchTemplate(around, _patch(laid, place, place_m), cv2.TM_CCORR_NORMED)
+    similarity[_disc(similarity.shape, reach, reach, beside)] = -1
+    return bool(similarity.max() < _SELF_ALIKE)
 
 
-def _edged(edges: np.ndarray) -> np.ndarray:
+def _has_edge(edges: np.ndarray) -> np.ndarray:
     """(H, W) where there is any edge."""
     return np.asarray(channel_sum(np.abs(edges)) > 0)
 
@@ -317,7 +317,7 @@ def _disc(shape: tuple[int, ...], row: int, column: int, radius: int) -> np.ndar
 
 
 def _match_back(
-    patches: Sequence[np.ndarray], at: np.ndarray, laid: _Laid, shift_m: np.ndarray, place_m: float
+    patches: Sequence[np.ndarray], at: np.ndarray, laid: _FloorImage, shift_m: np.ndarray, place_m: float
 ) -> np.ndarray:
     """(K, 2) column and row of each patch's match in another camera's floor near ``shift_m``, NaN without one."""
     found = np.full((len(patches), 2), np.nan)
@@ -326,19 +326,19 @@ def _match_back(
     for k, patch in enumerate(patches):
         column, row = (int(i) for i in at[k] + begin)
         around = _window(laid.edges, row, column, len(patch) // 2 + reach)
-        if _edged(around).mean() < _MIN_EDGES / 2:
+        if _has_edge(around).mean() < _MIN_EDGES / 2:
             continue
-        alike = cv2.matchTemplate(around, patch, cv2.TM_CCORR_NORMED)
-        top, left = (int(i) for i in np.unravel_index(int(np.argmax(alike)), alike.shape))
-        best = float(alike[top, left])
+        similarity = cv2.matchTemplate(around, patch, cv2.TM_CCORR_NORMED)
+        top, left = (int(i) for i in np.unravel_index(int(np.argmax(similarity)), similarity.shape))
+        best = float(similarity[top, left])
         if best < _ALIKE or not (0 < top < 2 * reach and 0 < left < 2 * reach):
             continue
-        rest = alike.copy()
-        rest[_disc(alike.shape, top, left, beside)] = -1
+        rest = similarity.copy()
+        rest[_disc(similarity.shape, top, left, beside)] = -1
         if rest.max() > _SECOND * best:
             continue
-        down = _vertex(alike[top - 1 : top + 2, left])
-        across = _vertex(alike[top, left - 1 : left + 2])
+        down = _vertex(similarity[top - 1 : top + 2, left])
+        across = _vertex(similarity[top, left - 1 : left + 2])
         found[k] = column + left - reach + across, row + top - reach + down
     return found
 

@@ -116,12 +116,12 @@ def propose_rigs(
         # Two people of the same height may fit a pair of cameras better than one person does: such a rig does not grow.
         if sum(len(r.cameras) == len(cameras) for r in grown) >= _ENOUGH_WORLDS:
             break
-        rig = _grown(seen, cameras, seed, template_m, gate_m, limits)
+        rig = _grow_rig(seen, cameras, seed, template_m, gate_m, limits)
         grown += [rig] if rig is not None else []
     return sorted(grown, key=lambda r: (-len(r.cameras), -r.support))
 
 
-def _adjusted(rig: Rig, limits: Limits) -> tuple[BundleResult, Bool[np.ndarray, " N"]]:
+def _adjust_rig(rig: Rig, limits: Limits) -> tuple[BundleResult, Bool[np.ndarray, " N"]]:
     """The rig's cameras (ascending view) with better poses, and which points determined them; lenses are guesses yet.
 
     A detector's error of a joint is the same for similar views of the body, so observations are weighted by the number
@@ -164,7 +164,7 @@ def scale_camera(camera: Camera, factor: float) -> Camera:
     return replace(camera, camera_from_world=pose)
 
 
-def _normalised(pixels: np.ndarray, camera: Camera) -> np.ndarray:
+def _normalise_pixels(pixels: np.ndarray, camera: Camera) -> np.ndarray:
     return (pixels - np.array(camera.principal_px)) / np.array(camera.focal_px)
 
 
@@ -172,8 +172,8 @@ def _pair(
     seen: Sightings, cameras: Sequence[Camera], a: int, b: int, unit: float
 ) -> tuple[int, int, int, np.ndarray] | None:
     """(votes, a, b, second_from_first (4, 4) with a unit baseline) of the best hypothesis on the tracks' identities."""
-    first = [_normalised(p, cameras[a]).reshape(-1, 2) for p in seen.pixels[a]]
-    second = [_normalised(p, cameras[b]).reshape(-1, 2) for p in seen.pixels[b]]
+    first = [_normalise_pixels(p, cameras[a]).reshape(-1, 2) for p in seen.pixels[a]]
+    second = [_normalise_pixels(p, cameras[b]).reshape(-1, 2) for p in seen.pixels[b]]
     shared = {}
     for i, one in enumerate(first):
         for j, two in enumerate(second):
@@ -185,7 +185,7 @@ def _pair(
         found = relative_pose(first[i][shared[i, j]], second[j][shared[i, j]], unit)
         if found is None:
             continue
-        matched, votes = _voted(first, second, shared, found[0], found[1], unit)
+        matched, votes = _vote_tracks(first, second, shared, found[0], found[1], unit)
         if best is None or votes > best[0]:
             best = votes, matched, found
     if best is None or not best[1]:
@@ -197,10 +197,10 @@ def _pair(
     rotation, translation, _ = again if again is not None and again[2].sum() >= best[0] else found
     second_from_first = np.eye(4)
     second_from_first[:3, :3], second_from_first[:3, 3] = rotation, translation
-    return _voted(first, second, shared, rotation, translation, unit)[1], a, b, second_from_first
+    return _vote_tracks(first, second, shared, rotation, translation, unit)[1], a, b, second_from_first
 
 
-def _voted(
+def _vote_tracks(
     first: Sequence[np.ndarray],
     second: Sequence[np.ndarray],
     shared: Mapping[tuple[int, int], np.ndarray],
@@ -229,7 +229,7 @@ def _voted(
     return matched, sum(votes[ij] for ij in matched)
 
 
-def _grown(
+def _grow_rig(
     seen: Sightings,
     cameras: Sequence[Camera],
     seed: tuple[int, int, int, np.ndarray],
@@ -247,7 +247,7 @@ def _grown(
         candidates = [
             (v, found)
             for v in range(len(cameras))
-            if v not in rig.cameras and (found := _placed(seen, cameras[v], v, rig, limits))
+            if v not in rig.cameras and (found := _place_camera(seen, cameras[v], v, rig, limits))
         ]
         if not candidates:
             return rig
@@ -287,7 +287,7 @@ def _refined_rig(
         rig = Rig(dict(current), found, points, int(points.inliers[:, counted].sum()))
         if round_number == 2:
             break
-        better, used = _adjusted(rig, limits)
+        better, used = _adjust_rig(rig, limits)
         all_points = np.full_like(points.points_m, np.nan)
         all_points[used] = better.points_m
         factor = bone_factor(all_points, points, found, template_m)
@@ -297,13 +297,15 @@ def _refined_rig(
     return rig
 
 
-def _placed(seen: Sightings, camera: Camera, view: int, rig: Rig, limits: Limits) -> tuple[int, np.ndarray] | None:
+def _place_camera(
+    seen: Sightings, camera: Camera, view: int, rig: Rig, limits: Limits
+) -> tuple[int, np.ndarray] | None:
     """(points that agree, camera_from_world) of a further camera from the best match of its tracks to groups."""
     found = rig.points
     place = {int(f): i for i, f in enumerate(seen.frames)}
     unit = float(limits.huber_share * max(camera.wh) / np.mean(camera.focal_px)) * 2
     row = np.array([place[int(f)] for f in rig.seen.frame])
-    tracks = [_normalised(p, camera) for p in seen.pixels[view]]
+    tracks = [_normalise_pixels(p, camera) for p in seen.pixels[view]]
     pairs = {}
     for g in np.unique(rig.seen.group):
         which = np.flatnonzero((rig.seen.group == g) & found.valid)
@@ -317,7 +319,7 @@ def _placed(seen: Sightings, camera: Camera, view: int, rig: Rig, limits: Limits
         answer = resection(*pairs[key], unit)
         if answer is None:
             continue
-        votes, chosen = _agreeing(pairs, answer[0], unit)
+        votes, chosen = _count_agreeing(pairs, answer[0], unit)
         again = (
             resection(
                 np.concatenate([pairs[k][0] for k in chosen]), np.concatenate([pairs[k][1] for k in chosen]), unit
@@ -326,13 +328,13 @@ def _placed(seen: Sightings, camera: Camera, view: int, rig: Rig, limits: Limits
             else None
         )
         pose = again[0] if again is not None else answer[0]
-        votes = _agreeing(pairs, pose, unit)[0]
+        votes = _count_agreeing(pairs, pose, unit)[0]
         if votes and (best is None or votes > best[0]):
             best = votes, pose
     return best
 
 
-def _agreeing(
+def _count_agreeing(
     pairs: Mapping[tuple[int, int], tuple[np.ndarray, np.ndarray]], pose: np.ndarray, unit: float
 ) -> tuple[int, list[tuple[int, int]]]:
     """Number of points that agree with a pose, every track with one group at most, and those pairs."""

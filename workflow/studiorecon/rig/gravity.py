@@ -117,7 +117,7 @@ def world_from_people(
     elif spread_m >= _MIN_FLOOR_M:
         how = (
             f"up is the mean of {len(upright)} upright bodies; the plane of their feet leans "
-            f"{tilt:.0f}° against it and was not believed"
+            f"{tilt:.0f}° against it and is not used"
         )
     if room is not None:
         along = room.T @ up

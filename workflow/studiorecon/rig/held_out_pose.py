@@ -18,12 +18,12 @@ from studiorecon.geometry.rotations import exp, log
 from studiorecon.geometry.triangulation import Limits, unit_px
 from studiorecon.keypoints.correspondence import STABLE_KEYPOINTS
 from studiorecon.rig.moved_cameras import (
-    ABOUT_AS_WELL,
     FREE_DEG,
     FREE_M,
     FURTHEST_DEG,
     FURTHEST_M,
-    HALF_OF_THE_JOINTS,
+    MAX_ERROR_RATIO,
+    VALIDATION_JOINTS,
     pose_changes,
 )
 from studiorecon.scene.camera import Camera
@@ -71,7 +71,7 @@ class HeldOutPose:
         joints: number of compared joints.
         before_px, after_px: median reprojection error as given and as used; None: too few.
         turned_deg, moved_m: from the given pose to the one used.
-        checked: whether people suffice to judge the given pose.
+        is_verified: whether people suffice to judge the given pose.
     """
 
     camera: Camera
@@ -80,7 +80,7 @@ class HeldOutPose:
     after_px: float | None
     turned_deg: float
     moved_m: float
-    checked: bool
+    is_verified: bool
 
 
 def estimate_held_out_pose(
@@ -94,19 +94,19 @@ def estimate_held_out_pose(
     if len(seen.frame) < _MIN_POINTS or len(np.unique(seen.frame)) < 2:
         return HeldOutPose(given, len(seen.frame), before_px, before_px, 0.0, 0.0, False)
     unit = float(unit_px([given], limits)[0])
-    start = _started(given, seen, unit)
+    start = _start_pose(given, seen, unit)
     # Other people's joints, and mixed-up limbs of the network, must not affect any pose.
     seen = seen.of(np.linalg.norm(_units(start, seen, unit), axis=-1) < limits.outlier_units)
     if len(seen.frame) < _MIN_POINTS:
         return HeldOutPose(given, len(seen.frame), before_px, before_px, 0.0, 0.0, False)
     # No width in between: six numbers, and a camera was either moved or not; a compromise would be at neither pose.
     rungs = [bundle, replace(bundle, prior_deg=FREE_DEG, prior_m=FREE_M)]
-    as_given = _unseen(given, given, seen, unit, None)
-    errors = [_unseen(start, given, seen, unit, rung) for rung in rungs]
+    as_given = _validation_error(given, given, seen, unit, None)
+    errors = [_validation_error(start, given, seen, unit, rung) for rung in rungs]
     if not min(errors) < (1 - gain) * as_given:
         return HeldOutPose(given, len(seen.frame), before_px, before_px, 0.0, 0.0, True)
-    chosen = next(k for k, error in enumerate(errors) if error <= ABOUT_AS_WELL * min(errors))
-    found = _fitted(start, given, seen, unit, rungs[chosen])
+    chosen = next(k for k, error in enumerate(errors) if error <= MAX_ERROR_RATIO * min(errors))
+    found = _fit_pose(start, given, seen, unit, rungs[chosen])
     degrees, metres = pose_changes([found], [given])
     if degrees[0] > FURTHEST_DEG or metres[0] > FURTHEST_M:
         return HeldOutPose(given, len(seen.frame), before_px, before_px, 0.0, 0.0, False)
@@ -120,7 +120,7 @@ def _median_px(camera: Camera, seen: ObservedJoints) -> float | None:
     return float(np.median(np.nan_to_num(off, nan=np.inf))) if len(off) and np.isfinite(off).any() else None
 
 
-def _started(given: Camera, seen: ObservedJoints, unit: float) -> Camera:
+def _start_pose(given: Camera, seen: ObservedJoints, unit: float) -> Camera:
     """The start of the search: a resection, which tolerates many joints of other people; or the given pose."""
     focal, principal = np.array(given.focal_px), np.array(given.principal_px)
     found = resection(seen.points_m, (seen.pixels - principal) / focal, _LOOSE * unit / float(focal.mean()))
@@ -142,24 +142,26 @@ def _error(camera: Camera, seen: ObservedJoints, unit: float) -> float:
     return float(np.minimum(np.linalg.norm(_units(camera, seen, unit), axis=-1), _MAX_UNITS).mean())
 
 
-def _unseen(start: Camera, given: Camera, seen: ObservedJoints, unit: float, rung: BundleSettings | None) -> float:
+def _validation_error(
+    start: Camera, given: Camera, seen: ObservedJoints, unit: float, rung: BundleSettings | None
+) -> float:
     """Mean validation error in error units, at most 3, of halves of the clip and of the joints after fitting the other
     half.
 
     ``rung`` None: of the given pose, which is not fitted.
     """
     early = seen.frame <= np.median(seen.frame)
-    half = HALF_OF_THE_JOINTS[seen.keypoint]
+    half = VALIDATION_JOINTS[seen.keypoint]
     errors = []
     for fit_on in (early, ~early, half, ~half):
         if min(fit_on.sum(), (~fit_on).sum()) < _MIN_HALF:
             continue
-        camera = given if rung is None else _fitted(start, given, seen.of(fit_on), unit, rung)
+        camera = given if rung is None else _fit_pose(start, given, seen.of(fit_on), unit, rung)
         errors.append(_error(camera, seen.of(~fit_on), unit))
     return float(np.mean(errors)) if errors else float("inf")
 
 
-def _fitted(start: Camera, given: Camera, seen: ObservedJoints, unit: float, rung: BundleSettings) -> Camera:
+def _fit_pose(start: Camera, given: Camera, seen: ObservedJoints, unit: float, rung: BundleSettings) -> Camera:
     """The pose of least Huber cost under the prior of ``rung``, by Gauss-Newton.
 
     All frames of a joint count as one observation, as everywhere in ``rig``.

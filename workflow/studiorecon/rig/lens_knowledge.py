@@ -52,7 +52,7 @@ def lens_knowledge(
     return LensKnowledge(np.array(expected), np.array(sigma), tuple(makes))
 
 
-def lenses_as_given(cameras: Sequence[Camera]) -> LensKnowledge:
+def fixed_lenses(cameras: Sequence[Camera]) -> LensKnowledge:
     """The prior that keeps calibrated lenses unchanged."""
     expected = [[np.log(c.focal_px[0]), 0.0, *c.principal_px] for c in cameras]
     return LensKnowledge(np.array(expected), np.zeros((len(cameras), 4)), tuple(c.name for c in cameras))
@@ -74,13 +74,13 @@ def undistort_tracks(
     found = []
     for d, camera, k1 in zip(seen, cameras, radial, strict=True):
         points = d.keypoints.copy()
-        points[..., :2] = straight_points(points[..., :2], camera, k1)
+        points[..., :2] = undistort_points(points[..., :2], camera, k1)
         points[..., 2] = np.where(np.isfinite(points[..., 0]), points[..., 2], 0.0)
         found.append(replace(d, keypoints=points) if k1 else d)
     return found
 
 
-def straight_points(pixels: Num[np.ndarray, "... 2"], camera: Camera, radial: float) -> Num[np.ndarray, "... 2"]:
+def undistort_points(pixels: Num[np.ndarray, "... 2"], camera: Camera, radial: float) -> Num[np.ndarray, "... 2"]:
     """Pixels without the distortion of a lens with k1 ``radial``; NaN where it has no such ray."""
     focal, principal = np.array(camera.focal_px), np.array(camera.principal_px)
     rays, _ = undistort((pixels - principal) / focal, "opencv", np.array([radial]))

@@ -86,7 +86,9 @@ def scale_from_lengths(
         number = int(name[1:]) if name[:1] == "p" and name[1:].isdigit() else -1
         if not 0 <= number < len(people):
             there = ", ".join(f"p{k}" for k in range(len(people)))
-            raise UserError(f"capture.yaml gives the height_m of {name}, but the cameras were estimated from {there}")
+            raise UserError(
+                f"capture.yaml gives the height_m of {name}, but the cameras were estimated from {there}: correct it"
+            )
         own = np.where((seen.group == people[number])[:, None], points, np.nan)
         factor = bone_factor(own, found, seen, template_m * (height / mean_stature_m))
         if factor is not None:

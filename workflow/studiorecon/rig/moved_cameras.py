@@ -47,14 +47,14 @@ _RIG_FRAMES = 16
 _LAID = 20
 # How much worse than the best a narrower prior may explain validation halves. Where cameras were not moved, the halves
 # of a real man's clip differed by 2 to 3 % between widths; where they had moved by a degree, by 9 % and more.
-ABOUT_AS_WELL = 1.05
+MAX_ERROR_RATIO = 1.05
 _MAX_UNITS = 3.0
 # One joint of every pair: the other half has the other side's, so both halves cover the body.
-HALF_OF_THE_JOINTS = np.array([k % 4 in (0, 3) for k in range(len(STABLE_KEYPOINTS))])
+VALIDATION_JOINTS = np.array([k % 4 in (0, 3) for k in range(len(STABLE_KEYPOINTS))])
 # Keypoints of a mean adult with arms out (metres): a rig from people alone is aligned to the given cameras, so only its
 # gates are in metres.
 _SIDE_M = np.array([[0.16, 0.49], [0.44, 0.47], [0.70, 0.46], [0.10, -0.03], [0.16, -0.45], [0.15, -0.86]])
-ADULT_M = np.stack([np.pad(_SIDE_M * [s, 1.0], ((0, 0), (0, 1))) for s in (1.0, -1.0)], axis=1).reshape(-1, 3)
+ADULT_JOINTS_M = np.stack([np.pad(_SIDE_M * [s, 1.0], ((0, 0), (0, 1))) for s in (1.0, -1.0)], axis=1).reshape(-1, 3)
 
 
 @dataclass(frozen=True)
@@ -157,7 +157,8 @@ def refine_with_wider_prior(
         few = frames[:: max(1, len(frames) // _RIG_FRAMES)]
         followed = dense_tracks(detections, few, limits.min_confidence)
         rig = next(
-            (r for r in propose_rigs(followed, given, ADULT_M, gate_m, limits) if len(r.cameras) == len(given)), None
+            (r for r in propose_rigs(followed, given, ADULT_JOINTS_M, gate_m, limits) if len(r.cameras) == len(given)),
+            None,
         )
         if rig is not None:
             start = remove_drift([rig.cameras[v] for v in range(len(given))], given)[0]
@@ -167,7 +168,7 @@ def refine_with_wider_prior(
     seen, _ = make_observations(detections, best[1], frames, gate_m)
     rungs = [bundle, replace(bundle, prior_deg=_MIDDLE * bundle.prior_deg, prior_m=_MIDDLE * bundle.prior_m), wide]
     errors = [_unseen_error(seen, best[1], given, limits, rung) for rung in rungs]
-    chosen = next((k for k, error in enumerate(errors) if error <= ABOUT_AS_WELL * min(errors)), 0)
+    chosen = next((k for k, error in enumerate(errors) if error <= MAX_ERROR_RATIO * min(errors)), 0)
     used = agreeing_observations(seen, best[1], limits)
     if chosen == 0 or used is None:
         return None
@@ -270,15 +271,15 @@ def _unseen_error(
     counted = met.verified if len(found) > 2 else met.valid
     kept, inliers = seen.of(counted), met.inliers[:, counted]
     early = kept.frame <= np.median(kept.frame)
-    half = HALF_OF_THE_JOINTS[kept.keypoint]
+    half = VALIDATION_JOINTS[kept.keypoint]
     units, errors = unit_px(found, limits)[:, None], []
     for fit_on in (early, ~early, half, ~half):
         used = agreeing_observations(kept.of(fit_on), found, limits)
         if used is None:
             return float("inf")
         cameras = used.adjust(found, given, limits, bundle).cameras
-        judged, agreed_in = kept.of(~fit_on), inliers[:, ~fit_on]
+        validation, agreed_in = kept.of(~fit_on), inliers[:, ~fit_on]
         wide = replace(limits, outlier_units=limits.outlier_units * _MAX_UNITS)
-        error = triangulate(judged.pixels, judged.confidence, cameras, wide).error_px / units
+        error = triangulate(validation.pixels, validation.confidence, cameras, wide).error_px / units
         errors.append(np.minimum(np.nan_to_num(error, nan=_MAX_UNITS), _MAX_UNITS)[agreed_in].mean())
     return float(np.mean(errors))

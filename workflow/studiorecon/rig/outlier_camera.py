@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from studiorecon.arrays import evenly_spread
+from studiorecon.arrays import spread_indices
 from studiorecon.geometry.triangulation import Limits, triangulate
 from studiorecon.keypoints.coordinate_readings import affine, apply_reading, size_readings, turned_readings
 from studiorecon.keypoints.correspondence import STABLE_KEYPOINTS, stable_detections
@@ -110,8 +110,8 @@ def find_outlier_camera(
     """
     if len(cameras) < 3:
         return None
-    chosen = frames[evenly_spread(len(frames), _FRAMES)]
-    own = [_gridded(d, chosen) for d in stable_detections(detections)]
+    chosen = frames[spread_indices(len(frames), _FRAMES)]
+    own = [_by_frame(d, chosen) for d in stable_detections(detections)]
     without: list[tuple[int, int, np.ndarray]] = []
     for v in range(len(cameras)):
         rest = [k for k in range(len(cameras)) if k != v]
@@ -134,14 +134,14 @@ def find_outlier_camera(
             )
         elif len(cameras) > 3 and _in_picture(points, cameras[v]) >= _MIN_POINTS:
             remedy = (
-                "see whether its video, keypoints and calibration are of one camera and one take, or leave it out "
+                "check that its video, keypoints and calibration are of one camera and one take, or leave it out "
                 f"(train: [{', '.join(cameras[k].name for k in rest)}] in capture.yaml)"
             )
             found.append((0.0, OutlierCamera(cameras[v].name, share, share, "", remedy)))
     return max(found, key=lambda row: row[0], default=(0.0, None))[1]
 
 
-def _gridded(seen: Detections, frames: np.ndarray) -> np.ndarray:
+def _by_frame(seen: Detections, frames: np.ndarray) -> np.ndarray:
     """(F, M, K, 2) pixels of the at most M people in each of the frames, NaN where there is none."""
     of_frame = [np.flatnonzero(seen.frame == f) for f in frames]
     grid = np.full((len(frames), max([len(o) for o in of_frame] + [1]), _COUNT, 2), np.nan)
@@ -167,7 +167,7 @@ def _points(
     return grid
 
 
-def _projected(points_m: np.ndarray, camera: Camera) -> np.ndarray:
+def _project(points_m: np.ndarray, camera: Camera) -> np.ndarray:
     """(F, G, K, 2) pixels, NaN behind the camera and where there is no point."""
     with np.errstate(over="ignore", invalid="ignore"):
         pixels, depth = camera.project(points_m)
@@ -183,7 +183,7 @@ def _share(points_m: np.ndarray, seen: np.ndarray, camera: Camera) -> tuple[floa
     counted = np.isfinite(seen[..., 0]) & known[:, None]
     if counted.any(axis=(1, 2)).sum() < _MIN_FRAMES:
         return 0.0, 0
-    where = _projected(points_m, camera)
+    where = _project(points_m, camera)
     with np.errstate(over="ignore"):
         apart = np.linalg.norm(seen[:, :, None] - where[:, None], axis=-1)
     with np.errstate(divide="ignore", over="ignore", invalid="ignore"):
@@ -195,7 +195,7 @@ def _share(points_m: np.ndarray, seen: np.ndarray, camera: Camera) -> tuple[floa
 
 def _in_picture(points_m: np.ndarray, camera: Camera) -> int:
     """Number of points in the picture as calibrated."""
-    pixels = np.nan_to_num(_projected(points_m, camera), nan=-1.0)
+    pixels = np.nan_to_num(_project(points_m, camera), nan=-1.0)
     return int(((pixels >= 0) & (pixels < camera.wh)).all(axis=-1).sum())
 
 
@@ -211,7 +211,7 @@ def _readings(
     camera, seen = cameras[v], own[v]
     for k in range(len(cameras)):
         if k != v and _same(seen, own[k]):
-            cause = f"they belonged to {cameras[k].name}, whose keypoints they are"
+            cause = f"they were those of {cameras[k].name} (the files are identical)"
             yield _Reading(cause, f"bring the footage or keypoints of {camera.name}", cameras[k], seen)
     check_video = "bring its video and keypoints from the calibrated camera"
     pixels = affine(1, 1)
@@ -230,24 +230,24 @@ def _readings(
     moved = _offset_px(points_m, seen, camera)
     if moved is not None:
         right, down = (-moved).round().astype(int)
-        cause = f"they lay {right} px further right and {down} px further down, as in a picture that was not cropped"
+        cause = f"they were {right} px further right and {down} px further down, as in an uncropped picture"
         turned_deg = float(np.degrees(np.arctan(np.linalg.norm(moved / camera.focal_px))))
         if turned_deg < _MAX_TURNED_DEG:
             cause += f", or by a camera that has not been turned by {turned_deg:.0f}° since it was calibrated"
             yield _Reading(cause, f"{check_video}, or calibrate it again", camera, seen - moved, turned=True)
         else:
             yield _Reading(cause, check_video, camera, seen - moved)
-    yield from _of_calibration(camera, seen)
+    yield from _calibration_readings(camera, seen)
     for lag in range(-_MAX_LAG, _MAX_LAG + 1):
         if lag:
             cause = f"its frames were numbered about {abs(lag)} {'lower' if lag > 0 else 'higher'}"
-            remedy = "see the clocks in the log of clocks.offsets, or write starts into capture.yaml"
-            yield _Reading(cause, remedy, camera, _gridded(stable_detections([detections[v]])[0], frames + lag))
+            remedy = "check the time offsets in the log of clocks.offsets, or write starts into capture.yaml"
+            yield _Reading(cause, remedy, camera, _by_frame(stable_detections([detections[v]])[0], frames + lag))
 
 
 def _offset_px(points_m: np.ndarray, seen: np.ndarray, camera: Camera) -> np.ndarray | None:
     """(2,) offset in pixels of most of a camera's keypoints from the points; None without comparable ones."""
-    apart = (seen[:, :, None] - _projected(points_m, camera)[:, None]).reshape(-1, 2)
+    apart = (seen[:, :, None] - _project(points_m, camera)[:, None]).reshape(-1, 2)
     apart = apart[np.isfinite(apart).all(axis=-1)]
     if not len(apart):
         return None
@@ -257,7 +257,7 @@ def _offset_px(points_m: np.ndarray, seen: np.ndarray, camera: Camera) -> np.nda
     return np.median(apart[np.linalg.norm(apart - middle, axis=-1) <= reach], axis=0)
 
 
-def _of_calibration(camera: Camera, seen: np.ndarray) -> Iterator[_Reading]:
+def _calibration_readings(camera: Camera, seen: np.ndarray) -> Iterator[_Reading]:
     """The same, with another lens or pose in the calibration."""
     given = camera.camera_from_world
     poses = {cause: POSE_READINGS[reading](given) for cause, reading in _CONVENTIONS.items()}
@@ -294,17 +294,17 @@ def warn_of_outlier_cameras(
     each_px: Sequence[float | None],
     limit_px: float,
     limits: Limits,
-    told_already: Sequence[bool],
+    warned: Sequence[bool],
 ) -> None:
     """Warn of cameras whose people no two others confirm, or with large errors, and of an error without a known camera.
 
-    ``each_px`` are the median errors of the cameras, ``limit_px`` their limit; ``told_already``: cameras with a warning
+    ``each_px`` are the median errors of the cameras, ``limit_px`` their limit; ``warned``: cameras with a warning
     before.
     """
     if len(cameras) < 3:
         return
     help_ = "check that its video, keypoints and calibration belong together, or leave it out (train in capture.yaml)"
-    for camera, own, px, already in zip(cameras, detections, each_px, told_already):
+    for camera, own, px, already in zip(cameras, detections, each_px, warned):
         if not already and len(own.frame) and (px is None or px > limit_px):
             how = (
                 "has no keypoints that fit two other cameras"

@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from studiorecon.arrays import evenly_spread
+from studiorecon.arrays import spread_indices
 from studiorecon.geometry.bundle import remove_drift
 from studiorecon.geometry.rotations import angle
 from studiorecon.geometry.triangulation import Limits
@@ -41,16 +41,16 @@ class PoseConsensus:
     """The cameras that people place.
 
     Attributes:
-        placed: their indices among all cameras, ascending.
+        cameras: their indices among all cameras, ascending.
         rig: the rig; its views count the placed cameras.
-        seen: their observations.
+        sightings: their observations.
         left_out: all other cameras → why.
         rival: another rig of the same cameras with about as much support, or None.
     """
 
-    placed: list[int]
+    cameras: list[int]
     rig: Rig
-    seen: Sightings
+    sightings: Sightings
     left_out: Mapping[str, str]
     rival: Rig | None
 
@@ -81,8 +81,8 @@ def find_pose_consensus(
     best: list[Rig] = []
 
     def look(at: Sightings, hfov_deg: float, wider: float, known: Sequence[Rig] = ()) -> list[Rig]:
-        start = _started(known, names, wh, known_px, hfov_deg)
-        return _better(best, propose_rigs(at, start, template_m, gate_m, _widened(limits, wider)))
+        start = _initial_cameras(known, names, wh, known_px, hfov_deg)
+        return _better_rigs(best, propose_rigs(at, start, template_m, gate_m, _widen(limits, wider)))
 
     for wider, hfov_deg in itertools.product(_WIDER, guesses):
         if best and (wider > _WIDER[0] or len(best[0].cameras) == len(names)):
@@ -103,10 +103,10 @@ def find_pose_consensus(
     placed = sorted(best[0].cameras)
     return PoseConsensus(
         placed,
-        _of(best[0], placed),
+        _renumber(best[0], placed),
         Sightings([detections[v] for v in placed], seen.frames, tuple(seen.pixels[v] for v in placed)),
-        {n: _why(detections[v]) for v, n in enumerate(names) if v not in placed},
-        _rival([_of(other, placed) for other in best if sorted(other.cameras) == placed], rival_share),
+        {n: _reason(detections[v]) for v, n in enumerate(names) if v not in placed},
+        _rival([_renumber(other, placed) for other in best if sorted(other.cameras) == placed], rival_share),
     )
 
 
@@ -117,15 +117,15 @@ def pose_distance(rival: Rig, cameras: Sequence[Camera]) -> tuple[Num[np.ndarray
 
 
 def _spread(frames: np.ndarray, wanted: int) -> np.ndarray:
-    chosen: np.ndarray = frames[evenly_spread(len(frames), wanted)]
+    chosen: np.ndarray = frames[spread_indices(len(frames), wanted)]
     return chosen
 
 
-def _widened(limits: Limits, factor: float) -> Limits:
+def _widen(limits: Limits, factor: float) -> Limits:
     return replace(limits, huber_share=limits.huber_share * factor)
 
 
-def _started(
+def _initial_cameras(
     best: Sequence[Rig],
     names: Sequence[str],
     wh: Sequence[tuple[int, int]],
@@ -138,7 +138,7 @@ def _started(
     return [_pinhole(n, wh[v], known_px.get(n) or found_px.get(v) or usual, hfov_deg) for v, n in enumerate(names)]
 
 
-def _better(first: list[Rig], second: list[Rig]) -> list[Rig]:
+def _better_rigs(first: list[Rig], second: list[Rig]) -> list[Rig]:
     """The list whose best rig has more cameras, or more support with as many."""
     if not first or not second:
         return first or second
@@ -151,12 +151,12 @@ def _pinhole(name: str, wh: tuple[int, int], focal_px: float | None, hfov_deg: f
     return Camera(name, wh, np.array([[focal, 0, wh[0] / 2], [0, focal, wh[1] / 2], [0, 0, 1.0]]), np.eye(4))
 
 
-def _of(rig: Rig, placed: Sequence[int]) -> Rig:
+def _renumber(rig: Rig, placed: Sequence[int]) -> Rig:
     """The rig with its views counted among the ``placed``."""
     return replace(rig, cameras={k: rig.cameras[v] for k, v in enumerate(placed)})
 
 
-def _why(seen: Detections) -> str:
+def _reason(seen: Detections) -> str:
     if not len(seen.frame):
         return "it sees no person, and without a calibration, cameras are estimated from people"
     return "it shares too few keypoints with the other cameras"

@@ -16,8 +16,8 @@ from studiorecon.rig.correspondences import Observations
 from studiorecon.rig.detector_noise import DetectorNoise
 from studiorecon.rig.estimate import estimate_once
 from studiorecon.rig.from_tracks import MIN_SHARED, Rig
-from studiorecon.rig.lens_knowledge import lenses_as_given
-from studiorecon.rig.moved_cameras import ADULT_M, MovedCameras
+from studiorecon.rig.lens_knowledge import fixed_lenses
+from studiorecon.rig.moved_cameras import ADULT_JOINTS_M, MovedCameras
 from studiorecon.scene.camera import Camera
 
 if TYPE_CHECKING:
@@ -42,9 +42,9 @@ def rotation_observability(cameras: Sequence[Camera], seen: Observations, limits
     rig = Rig(dict(enumerate(cameras)), seen, triangulate(seen.pixels, seen.confidence, cameras, limits), 0)
     if int(rig.agreeing.sum()) < MIN_SHARED:
         return None
-    lenses = lenses_as_given(cameras)
-    found = estimate_once(rig, np.zeros(len(cameras)), lenses, ADULT_M, DetectorNoise.usual(cameras, limits))
-    found = estimate_once(rig, np.zeros(len(cameras)), lenses, ADULT_M, found.noise)
+    lenses = fixed_lenses(cameras)
+    found = estimate_once(rig, np.zeros(len(cameras)), lenses, ADULT_JOINTS_M, DetectorNoise.typical(cameras, limits))
+    found = estimate_once(rig, np.zeros(len(cameras)), lenses, ADULT_JOINTS_M, found.noise)
     ours, given = ([c.camera_from_world[:3, :3] for c in group] for group in (found.cameras, cameras))
     turned = [angle(ours[a] @ ours[b].T, given[a] @ given[b].T) for a, b in combinations(range(len(cameras)), 2)]
     return float(np.degrees(np.max(turned))), camera_intervals(found.solution).between_deg

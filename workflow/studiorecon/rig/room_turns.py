@@ -178,16 +178,20 @@ def _turn(edges: _Edges, start: np.ndarray) -> tuple[np.ndarray, float, float] |
     offsets = _ball(_REACH_DEG, _STEP_DEG)
     near = exp(np.radians(offsets[np.linalg.norm(offsets, axis=1) <= _REACH_DEG])) @ start
     first = near[np.argsort(-edge_support(edges, near, _COARSE_DEG[0]), kind="stable")[:_REFINED]]
-    refined = np.stack([_refined(edges, r) for r in first])
+    refined = np.stack([_refine_rotation(edges, r) for r in first])
     shares = edge_support(edges, refined, _FINE_DEG)
     best = refined[int(np.argmax(shares))]
     elsewhere = np.degrees(angle(refined, best[None])) > _ELSEWHERE_DEG
-    if shares.max() < _ALONG or (shares[elsewhere] > _RIVAL * shares.max()).any() or not _two_ways(edges, best):
+    if (
+        shares.max() < _ALONG
+        or (shares[elsewhere] > _RIVAL * shares.max()).any()
+        or not _has_two_directions(edges, best)
+    ):
         return None
     if np.degrees(angle(best, start)) > 1.5 * _REACH_DEG:
         return None
     parts = [
-        _refined(_Edges(edges.normals[h], edges.weights[h], edges.halves[:, h]), best, held=True)
+        _refine_rotation(_Edges(edges.normals[h], edges.weights[h], edges.halves[:, h]), best, held=True)
         for half in edges.halves
         for h in (half, ~half)
         if h.sum() >= _MIN_EDGES
@@ -196,7 +200,7 @@ def _turn(edges: _Edges, start: np.ndarray) -> tuple[np.ndarray, float, float] |
     return best, float(np.hypot(np.sqrt((apart**2).mean()), _SQUARE_DEG)), float(shares.max())
 
 
-def _two_ways(edges: _Edges, camera_from_room: np.ndarray) -> bool:
+def _has_two_directions(edges: _Edges, camera_from_room: np.ndarray) -> bool:
     """Whether enough edges are along two of the room's directions: one alone does not determine the rotation about
     it."""
     off = np.abs(edges.normals @ camera_from_room)
@@ -205,7 +209,7 @@ def _two_ways(edges: _Edges, camera_from_room: np.ndarray) -> bool:
     return sum(a.sum() >= _MIN_EDGES and edges.weights[a].sum() >= _ALONG_EACH for a in along) >= 2
 
 
-def _refined(edges: _Edges, camera_from_room: np.ndarray, held: bool = False) -> np.ndarray:
+def _refine_rotation(edges: _Edges, camera_from_room: np.ndarray, held: bool = False) -> np.ndarray:
     """The rotation with the best agreement of the edges, by Gauss-Newton from ``camera_from_room``.
 
     ``held``: with a prior of about 1° there, for parts of the edges that may not determine all of it.

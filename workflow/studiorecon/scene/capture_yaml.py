@@ -71,13 +71,13 @@ def read_description(folder: Path, capture_yaml: Path | None) -> dict[str, Any]:
 
 def _check_named(camera: Any, key: str, footage: Mapping[str, Path]) -> str:
     given = str(camera)
-    alike = [known for known in footage if fold_name(known) == fold_name(given)]
-    if given not in footage and len(alike) != 1:
+    matches = [known for known in footage if fold_name(known) == fold_name(given)]
+    if given not in footage and len(matches) != 1:
         raise UserError(
             f"capture.yaml lists camera {short_text(given)} under {key}, but the footage has {', '.join(footage)}; "
             "names with leading zeros have to keep them"
         )
-    return given if given in footage else alike[0]
+    return given if given in footage else matches[0]
 
 
 def names_under(description: dict[str, Any], key: str, footage: Mapping[str, Path]) -> list[str]:

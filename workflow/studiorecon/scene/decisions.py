@@ -29,7 +29,7 @@ _DECISION = {
     "on_above": flag(),
     "calibration": text(),
     "forced": flag(),
-    "obeyed_by": text(),
+    "used_by": text(),
     "detail": Anything(),
 }
 _DECISIONS = {"order": ListOf(text()), "decisions": ListOf(_DECISION)}
@@ -48,7 +48,7 @@ class Decision:
         on_above: the effect is on above the threshold; False when it is on below.
         calibration: the basis of the threshold.
         forced: the verdict comes from the user and not from the measurement.
-        obeyed_by: the step or plan that acts on the verdict; empty when the verdict only informs.
+        used_by: the step or plan that acts on the verdict; empty when the verdict only informs.
         detail: numbers for the steps that act on the decision.
     """
 
@@ -63,11 +63,11 @@ class Decision:
     on_above: bool = True
     calibration: str = UNCALIBRATED
     forced: bool = False
-    obeyed_by: str = ""
+    used_by: str = ""
     detail: Mapping[str, Any] = field(default_factory=dict)
 
     @property
-    def called_for(self) -> bool:
+    def is_on(self) -> bool:
         """Whether the effect is simulated: undetermined takes the cheaper branch, which leaves it out."""
         return self.verdict == "on"
 

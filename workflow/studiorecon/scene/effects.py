@@ -32,8 +32,8 @@ class Effect:
         tunable: whether the settings may change the threshold: False where it is no matter of degree.
         on_above: on above the threshold; False: on below it.
         hidden_by: effects that are decided before, because they look like this one or spoil its measurement.
-        voids: the reason for an effect that this one hides while it is on; empty: that one is measured all the same.
-        obeyed_by: the steps that act when the effect is on, and how; empty: it only informs, and cannot be forced.
+        void_reason: why effects that this one hides are undetermined while it is on; empty: they are measured anyway.
+        used_by: the steps that act when the effect is on, and how; empty: it only informs, and cannot be forced.
     """
 
     name: str
@@ -44,13 +44,13 @@ class Effect:
     tunable: bool = True
     on_above: bool = True
     hidden_by: tuple[str, ...] = ()
-    voids: str = ""
-    obeyed_by: str = ""
+    void_reason: str = ""
+    used_by: str = ""
 
     @property
     def acts(self) -> bool:
-        """Whether a step obeys the verdict; otherwise it only informs."""
-        return bool(self.obeyed_by)
+        """Whether a step uses the verdict; otherwise it only informs."""
+        return bool(self.used_by)
 
     def decide(
         self,
@@ -89,17 +89,17 @@ class Effect:
             reason,
             unit=self.unit,
             on_above=self.on_above,
-            obeyed_by=self.obeyed_by,
+            used_by=self.used_by,
             detail=dict(detail or {}),
         )
 
-    def left_to(self, report: str) -> Decision:
+    def undecided(self, report: str) -> Decision:
         """The effect as an entry without a verdict, with the name of the report that will decide it."""
         reason = f"measured after training; see {report}"
         return Decision(self.name, self.statistic, None, None, None, "undetermined", reason)
 
 
-PAPERS: Mapping[str, str] = {
+PAPER_CHOICES: Mapping[str, str] = {
     "view_synthesis": "on",
     "temporal_appearance": "on",
     "enhancement": "on",
@@ -110,8 +110,7 @@ PAPERS: Mapping[str, str] = {
     "dynamic_objects": "off",
     "moving_shadows": "off",
 }
-"""The paper's fixed choices: the effects that it always uses (its path has 481 views on every rig), and those that it
-lacks."""
+"""The paper's fixed choices: "on" for effects that it always uses (481 views on every rig), "off" for others."""
 
 
 def thresholds(effects: Iterable[Effect]) -> Any:
@@ -129,13 +128,13 @@ def thresholds(effects: Iterable[Effect]) -> Any:
 
 
 def force(effects: Iterable[Effect]) -> Any:
-    """The dataclass field with verdicts given in advance, for those of these effects that a step obeys."""
+    """The dataclass field with verdicts given in advance, for those of these effects that a step uses."""
     names = [effect.name for effect in effects if effect.acts]
     return setting(
         {},
         'Verdicts set beforehand: {exposure: "on", view_synthesis: "off"}.',
         paper="views, temporal network, enhancement, injection always; no other effect",
-        paper_value=PAPERS,
+        paper_value=PAPER_CHOICES,
         shape={
             "type": "object",
             "propertyNames": {
@@ -157,7 +156,7 @@ TEMPORAL_APPEARANCE = Effect(
     statistic="share of body points whose colour residual exceeds 3 times its noise with a constant sign over time",
     threshold=0.1,
     paper="always",
-    obeyed_by="humans.train: trains the temporal network; measured after pose refinement",
+    used_by="humans.train: trains the temporal network; measured after pose refinement",
 )
 ENHANCEMENT = Effect(
     name="enhancement",
@@ -165,14 +164,14 @@ ENHANCEMENT = Effect(
     unit="dB",
     threshold=0.1,
     paper="always",
-    obeyed_by="enhance.shot: measured before enhancement; a selected network always runs",
+    used_by="enhance.shot: measured before enhancement; a selected network always runs",
 )
 INJECTION = Effect(
     name="injection",
     statistic="change between enhanced pictures along the renders' flow, relative to the renders' own, minus 1",
     threshold=0.2,
     paper="always",
-    obeyed_by="enhance.shot: measured on pairs of the film's pictures before the film",
+    used_by="enhance.shot: measured on pairs of the film's pictures before the film",
 )
 # Measured while the scene is trained, and by every film.
 TRAINED, FILMED = (TEMPORAL_APPEARANCE,), (ENHANCEMENT, INJECTION)

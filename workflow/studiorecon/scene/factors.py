@@ -31,22 +31,24 @@ _FACTORS = {"factors": MappingOf(real("F 3", above=0))}
 class Factors:
     """``of``: camera → (1, 3) or (frames, 3) float64 factors; pictures of cameras that are not named stay unchanged."""
 
-    of: Mapping[str, Float[np.ndarray, "F 3"]] = field(default_factory=dict)
+    by_camera: Mapping[str, Float[np.ndarray, "F 3"]] = field(default_factory=dict)
 
-    def even_out(self, camera: str, picture: Num[np.ndarray, "H W 3"], frame: int = 0) -> Num[np.ndarray, "H W 3"]:
+    def normalise(self, camera: str, picture: Num[np.ndarray, "H W 3"], frame: int = 0) -> Num[np.ndarray, "H W 3"]:
         """A picture, uint8 or float32 in [0, 1], divided by its factor and clipped; the same array without a factor."""
-        if camera not in self.of:
+        if camera not in self.by_camera:
             return picture
-        own = self.of[camera]
+        own = self.by_camera[camera]
         factor = own[0 if len(own) == 1 else frame]
         if picture.dtype != np.uint8:
             return np.clip(picture / factor.astype(np.float32), 0, 1)
         table = np.clip(np.rint(np.arange(256)[:, None] / factor), 0, 255).astype(np.uint8)
         return cv2.LUT(picture, np.ascontiguousarray(table[None]))
 
-    def even_all(self, camera: str, pictures: Iterable[Num[np.ndarray, "H W 3"]]) -> Iterator[Num[np.ndarray, "H W 3"]]:
+    def normalise_film(
+        self, camera: str, pictures: Iterable[Num[np.ndarray, "H W 3"]]
+    ) -> Iterator[Num[np.ndarray, "H W 3"]]:
         """``even`` of every picture of a film, from its first frame on."""
-        return (self.even_out(camera, picture, frame) for frame, picture in enumerate(pictures))
+        return (self.normalise(camera, picture, frame) for frame, picture in enumerate(pictures))
 
 
 NONE = Factors()

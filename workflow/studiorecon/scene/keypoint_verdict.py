@@ -52,5 +52,5 @@ def _verdict(value: dict[str, Any]) -> KeypointVerdict:
     pixel_map = tuple(map(float, value.get("pixel_map") or ()))
     expect(len(pixel_map) in (0, 3), f"pixel_map has {len(pixel_map)} numbers, expected a scale, x and y")
     width, height = value["wh"]
-    said = value.get("refusal") or "", tuple(value.get("notes") or ())
-    return KeypointVerdict(value["camera"], (width, height), pixel_map, *said)
+    sentences = value.get("refusal") or "", tuple(value.get("notes") or ())
+    return KeypointVerdict(value["camera"], (width, height), pixel_map, *sentences)

@@ -118,7 +118,7 @@ class Actors:
         grip = np.eye(4)
         grip[:3, 3] = self.body.rest_joints(holder.betas)[_LEFT_HAND] + [0, -0.02, -0.5 * _STICK_LENGTH_M]
         profile = [(0.0, 0.0), (_STICK_RADIUS_M, 0.0), (_STICK_RADIUS_M, _STICK_LENGTH_M), (0.0, _STICK_LENGTH_M)]
-        return lathe("stick", profile, hand @ grip, _banded, segments=16)
+        return lathe("stick", profile, hand @ grip, _band_colours, segments=16)
 
 
 def _ball(time_s: float) -> Mesh:
@@ -135,7 +135,7 @@ def _beach_ball(points: np.ndarray, normals: np.ndarray) -> np.ndarray:
     return colours[sector.astype(int)]
 
 
-def _banded(points: np.ndarray, normals: np.ndarray) -> np.ndarray:
+def _band_colours(points: np.ndarray, normals: np.ndarray) -> np.ndarray:
     return np.where(
         ((points[:, 2] / 0.15) % 1 < 0.3)[:, None], np.array((0.66, 0.10, 0.04)), np.array((0.60, 0.47, 0.25))
     )

@@ -21,7 +21,7 @@ def calibration_texts(form: str, lenses: Sequence[Lens]) -> dict[str, str]:
         "easymocap": _easymocap,
         "colmap": _colmap,
         "pose2sim": _pose2sim,
-        "caliscope": _pose2sim_like,
+        "caliscope": _caliscope,
         "nerfstudio": _nerfstudio,
     }[form](lenses)
 
@@ -76,7 +76,7 @@ def _pose2sim(lenses: Sequence[Lens]) -> dict[str, str]:
     return {"calibration/Calib.toml": _toml(lenses, with_names_as_tables=True)}
 
 
-def _pose2sim_like(lenses: Sequence[Lens]) -> dict[str, str]:
+def _caliscope(lenses: Sequence[Lens]) -> dict[str, str]:
     return {"camera_array_aniposelib.toml": _toml(lenses, with_names_as_tables=False)}
 
 

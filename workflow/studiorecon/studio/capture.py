@@ -81,9 +81,9 @@ def _write_calibration(described: Description, lenses: list[Lens], dataset: Path
 
 
 def _write_truth(described: Description, ideal: list, body: BodyModel, truth: Path) -> None:
-    troupe = Actors(described, body, np.arange(described.frames) / described.fps)
-    for actor in troupe.actors:
-        person = troupe.person(actor)
+    actors = Actors(described, body, np.arange(described.frames) / described.fps)
+    for actor in actors.actors:
+        person = actors.person(actor)
         write_person(truth / "bodies" / f"{person.name}.npz", person)
     write_json(truth / "cameras.json", [camera.as_json() for camera in ideal])
 

@@ -51,9 +51,9 @@ def detect(
         overlooked = rng.uniform() < 0.1 * options.drop_outs
         if not overlooked and (found[:, 2] > 0.4).sum() >= _MIN_SEEN:
             people.append(found)
-    phantom_wanted = rng.uniform() < options.false_positives
+    has_phantom = rng.uniform() < options.false_positives
     phantom = _phantom(points_m.shape[1], lens, rng)
-    if phantom_wanted:
+    if has_phantom:
         people.append(phantom)
     order = rng.permutation(len(people))
     return [people[i] for i in order] if options.shuffled else people

@@ -88,9 +88,9 @@ def render_frame(
     """
     height, width = scene.lens.wh[1], scene.lens.wh[0]
     picture = scene.mean.copy()
-    shaded = _shadowed_pixels(scene, moving) if effects.moving_shadows else np.zeros(height * width, dtype=bool)
+    shaded = _shadow_pixels(scene, moving) if effects.moving_shadows else np.zeros(height * width, dtype=bool)
     if effects.glossy_floor and moving:
-        reflected = [_mirrored(solid) for solid in moving]
+        reflected = [_mirror_solid(solid) for solid in moving]
         shaded |= touched_pixels(scene.lens, reflected) & (scene.solid == 0).any(axis=0)
     darkened = _contact_pixels(scene, soles_m) if effects.contact_shading else np.zeros(height * width, dtype=bool)
     changed = np.flatnonzero(touched | shaded | darkened)
@@ -210,7 +210,7 @@ def _floor_points(scene: Backdrop, pixels: np.ndarray) -> np.ndarray:
     return scene.centre_m + rays * (-scene.centre_m[2] / downward)[:, None]
 
 
-def _shadowed_pixels(scene: Backdrop, moving: list[Mesh]) -> np.ndarray:
+def _shadow_pixels(scene: Backdrop, moving: list[Mesh]) -> np.ndarray:
     """(N,) bool: pixels whose way to a lamp may pass a moving solid, by upright bounding cylinders."""
     points = scene.centre_m + scene.rays[0].astype(np.float64) * scene.depth_m[0][:, None]
     found = np.zeros(len(points), dtype=bool)
@@ -230,5 +230,5 @@ def _shadowed_pixels(scene: Backdrop, moving: list[Mesh]) -> np.ndarray:
     return found
 
 
-def _mirrored(solid: Mesh) -> Mesh:
+def _mirror_solid(solid: Mesh) -> Mesh:
     return Mesh(solid.name, solid.vertices_m * [1, 1, -1], solid.faces, solid.texture, solid.world_from_solid)

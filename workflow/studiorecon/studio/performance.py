@@ -70,7 +70,7 @@ def perform(
     feet = [foot_track(clock, phase, part.stride_m, part.path) for phase in (0.0, 0.5)]
     walking = _smooth_amplitude(part, clock)
     squat = _squat(times_s - part.squats_s)
-    wave = _eased((times_s - part.waves_s) / 0.5) * (times_s >= part.waves_s)
+    wave = _ease((times_s - part.waves_s) / 0.5) * (times_s >= part.waves_s)
     distance = pelvis_distance(clock, part.stride_m, part.path)
     ground, heading = part.path.at(distance)
     swing = np.cos(2 * np.pi * clock) * walking
@@ -100,9 +100,9 @@ def perform(
         )
         hip_global = bone_frame(knee_m - hip_m, hinge) @ bone_frame(thigh, _LEFT).T
         knee_global = bone_frame(ankles[side] - knee_m, hinge) @ bone_frame(shin, _LEFT).T
-        local[:, hip] = _transposed(root) @ hip_global
-        local[:, knee] = _transposed(hip_global) @ knee_global
-        local[:, ankle] = _transposed(knee_global) @ foot_frames[side] @ _turn(_LEFT, feet[side].pitch_rad)
+        local[:, hip] = _transpose(root) @ hip_global
+        local[:, knee] = _transpose(hip_global) @ knee_global
+        local[:, ankle] = _transpose(knee_global) @ foot_frames[side] @ _turn(_LEFT, feet[side].pitch_rad)
         local[:, toe] = _turn(_LEFT, toes[side])
     _upper_body(local, times_s, swing, twist, lean, squat, wave, walking)
     return rotations.log(local).reshape(len(times_s), 72), pelvis
@@ -214,7 +214,7 @@ def _turn(axis: np.ndarray, angle_rad: np.ndarray) -> np.ndarray:
     return rotations.exp(np.asarray(angle_rad)[:, None] * axis)
 
 
-def _eased(x: np.ndarray) -> np.ndarray:
+def _ease(x: np.ndarray) -> np.ndarray:
     x = np.clip(x, 0, 1)
     return x * x * (3 - 2 * x)
 
@@ -223,5 +223,5 @@ def _length(vector: np.ndarray) -> float:
     return float(np.linalg.norm(vector))
 
 
-def _transposed(matrices: np.ndarray) -> np.ndarray:
+def _transpose(matrices: np.ndarray) -> np.ndarray:
     return np.swapaxes(matrices, -1, -2)

@@ -45,7 +45,7 @@ def _shell(seed: int, glossy_floor: float) -> list[Mesh]:
             [[-x, -y, 0], [x, -y, 0], [x, -y, z], [-x, -y, z]],
             _wall(textures.wallpaper, seed + 5, 0, pictures=3),
         ),
-        quad("tiled wall", [[-x, y, 0], [x, y, 0], [x, y, z], [-x, y, z]], _wall(_half_tiled, seed + 6, 0, pictures=4)),
+        quad("tiled wall", [[-x, y, 0], [x, y, 0], [x, y, z], [-x, y, z]], _wall(_half_tiles, seed + 6, 0, pictures=4)),
     ]
     for k, (cx, cy, hx, hy) in enumerate(LAMPS_M):
         where = pose_on_floor((cx, cy, HEIGHT_M - LAMP_BELOW_CEILING_M))
@@ -80,8 +80,11 @@ def _furniture(seed: int, rng: np.random.Generator) -> list[Mesh]:
 
     dark = textured(lambda u, v, s: textures.planks(v, u, s, (0.10, 0.045, 0.02), (0.20, 0.10, 0.05)), 21)
     light, cloth = textured(textures.planks, 20), [textured(textures.fabric, 40 + k) for k in range(4)]
-    glaze, brass = _ringed((0.05, 0.16, 0.30), (0.55, 0.45, 0.30)), _ringed((0.45, 0.13, 0.04), (0.60, 0.40, 0.12))
-    red = _ringed((0.35, 0.06, 0.05), (0.45, 0.30, 0.14))
+    glaze, brass = (
+        _ring_texture((0.05, 0.16, 0.30), (0.55, 0.45, 0.30)),
+        _ring_texture((0.45, 0.13, 0.04), (0.60, 0.40, 0.12)),
+    )
+    red = _ring_texture((0.35, 0.06, 0.05), (0.45, 0.30, 0.14))
     # One after the other as they are drawn; x and y of the table, y of the sofa, x of the shelves, y of the sideboard.
     tx, ty, sofa, shelf, low = -1.95 + shift(), 1.15 + shift(), 0.3 + shift(), 1.9 + shift(), 1.2 + shift()
     side = -0.7 + shift()
@@ -136,7 +139,7 @@ def _ceiling(seed: int) -> Texture:
     return paint
 
 
-def _half_tiled(u: np.ndarray, v: np.ndarray, seed: int) -> np.ndarray:
+def _half_tiles(u: np.ndarray, v: np.ndarray, seed: int) -> np.ndarray:
     colour = np.where(
         (v < 1.2)[:, None], textures.tiles(u, v, seed), textures.plaster(u, v, seed + 1, (0.50, 0.36, 0.26))
     )
@@ -174,7 +177,7 @@ def _wall(texture, seed: int, along: int, pictures: int) -> Texture:
     return paint
 
 
-def _ringed(dark: tuple[float, float, float], light: tuple[float, float, float]) -> Texture:
+def _ring_texture(dark: tuple[float, float, float], light: tuple[float, float, float]) -> Texture:
     """Turned ware: painted rings around the axis."""
 
     def paint(points: np.ndarray, normals: np.ndarray) -> np.ndarray:

@@ -60,7 +60,7 @@ def share_takes(description: Description, lenses: Sequence[Lens], processes: int
     of_clock: dict[float, list[Lens]] = {}
     for lens in lenses:
         of_clock.setdefault(rig.sync_offsets_frames(description)[lens.name], []).append(lens)
-    takes = [alike[k : k + most] for alike in of_clock.values() for k in range(0, len(alike), most)]
+    takes = [group[k : k + most] for group in of_clock.values() for k in range(0, len(group), most)]
     return sorted(takes, key=len, reverse=True)
 
 
@@ -112,16 +112,16 @@ def _pictures(films: Films) -> Iterator[None]:
     described = films.description
     offset = rig.sync_offsets_frames(described)[films.lenses[0].name]
     times_s = (np.arange(described.frames) + offset) / described.fps
-    troupe = Actors(described, BodyModel.load(films.body), times_s)
+    actors = Actors(described, BodyModel.load(films.body), times_s)
     solids = build_room(described.seed, described.effects.glossy_floor)
-    cameras = [_Camera(films, lens, troupe, solids) for lens in films.lenses]
+    cameras = [_Camera(films, lens, actors, solids) for lens in films.lenses]
     with parallel_writers([writer for camera in cameras for writer in camera.writers()]) as put:
         for frame in range(described.frames):
-            moving, values = troupe.at(frame)
+            moving, values = actors.at(frame)
             tracer = Tracer(solids + moving)
             following = None
             if described.truth.flow and frame + 1 < described.frames:
-                following = troupe.at(frame + 1)[0]
+                following = actors.at(frame + 1)[0]
             pictures = [camera.picture(frame, moving, values, tracer, following) for camera in cameras]
             put(*(picture for camera, picture in zip(cameras, pictures) for _ in camera.writers()))
             yield
@@ -132,7 +132,7 @@ def _pictures(films: Films) -> Iterator[None]:
 class _Camera:
     """One camera of a take: its empty room, and its results moment by moment."""
 
-    def __init__(self, films: Films, lens: Lens, troupe: Actors, solids: list[Mesh]) -> None:
+    def __init__(self, films: Films, lens: Lens, actors: Actors, solids: list[Mesh]) -> None:
         described = films.description
         self._films, self._lens, self._solids = films, lens, solids
         self._sensor = camera_sensor(described, lens.name)
@@ -140,8 +140,8 @@ class _Camera:
         self._backdrop = trace_backdrop(lens, solids, described.supersampling)
         self._truth = TruthFrames(lens, solids, described.truth)
         self._detector = np.random.default_rng([described.seed, 31, described.names.index(lens.name)])
-        self._keypoints_m, self._soles_m = troupe.keypoints_m(LAYOUTS[LAYOUT].keypoints), troupe.soles_m()
-        self._times_s = troupe.times_s
+        self._keypoints_m, self._soles_m = actors.keypoints_m(LAYOUTS[LAYOUT].keypoints), actors.soles_m()
+        self._times_s = actors.times_s
 
     def writers(self) -> list[Writer]:
         """The writers of every picture."""

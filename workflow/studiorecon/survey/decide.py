@@ -74,7 +74,7 @@ def run(
     by_file = {path.name: path for path in artefacts}
     evidence = Evidence(material, settings)
     early = {d.effect: d for d in decide_effects(evidence, settings.thresholds, settings.force)}
-    measured = [early.get(effect.name) or effect.left_to("report/audit.json") for effect in EFFECTS]
+    measured = [early.get(effect.name) or effect.undecided("report/audit.json") for effect in EFFECTS]
     made = {d.effect: d for d in apply_forced(measured, settings.force)}
     recordings = Recordings(videos, found or [None] * len(cameras), capture.frames)
     for decision in made.values():

@@ -45,14 +45,14 @@ def decide_effects(
     by_name = {effect.name: effect for effect in EARLY}
     for effect in EARLY:
         for hiding in effect.hidden_by:
-            on = made[hiding].called_for if hiding not in verdicts else verdicts[hiding] == "on"
-            if by_name[hiding].voids and on:
+            on = made[hiding].is_on if hiding not in verdicts else verdicts[hiding] == "on"
+            if by_name[hiding].void_reason and on:
                 made[effect.name] = replace(
                     made[effect.name],
                     value=None,
                     interval=None,
                     verdict="undetermined",
-                    reason=by_name[hiding].voids,
+                    reason=by_name[hiding].void_reason,
                 )
     return list(made.values())
 

@@ -80,7 +80,7 @@ def shadow_share(
     require("ring", ring, free.shape)
     ever, dark = np.zeros(free.shape[1:], bool), np.zeros(free.shape[1:], bool)
     for run in runs:
-        steady = _running(ratio[run], free[run] & ring[run])
+        steady = _running_mean(ratio[run], free[run] & ring[run])
         level, colour = _level_and_colour(steady)
         known = np.isfinite(level)
         ever |= known.any(axis=0)
@@ -121,7 +121,7 @@ def moving_share(
         found = [_regions(c, f, least) for c, f in zip(changed[run], free[run])]
         for t in range(len(found) - _FRAMES + 1):
             for first in found[t]:
-                areas = _followed(first, found[t + 1 : t + _FRAMES], 0.15 * width)
+                areas = _follow_region(first, found[t + 1 : t + _FRAMES], 0.15 * width)
                 if len(areas) == _FRAMES:
                     part, error = (
                         np.median(areas) / (height * width),
@@ -139,7 +139,7 @@ def _level_and_colour(ratio: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     return level, np.maximum(np.maximum(np.abs(red - level), np.abs(green - level)), np.abs(blue - level))
 
 
-def _followed(
+def _follow_region(
     first: tuple[float, np.ndarray], later: Sequence[list[tuple[float, np.ndarray]]], reach_px: float
 ) -> list[float]:
     """Areas of a region in successive pictures; none when it is lost, changes its size fourfold or stays in place."""
@@ -163,7 +163,7 @@ def _regions(changed: np.ndarray, free: np.ndarray, least_px: float) -> list[tup
     return [(float(areas[i]), centres[i]) for i in range(1, count) if areas[i] >= least_px and i not in touching]
 
 
-def _running(ratio: np.ndarray, known: np.ndarray) -> np.ndarray:
+def _running_mean(ratio: np.ndarray, known: np.ndarray) -> np.ndarray:
     """(T - 4, H, W, 3) mean over five consecutive frames where all are known, else NaN."""
     if len(ratio) < _FRAMES:
         return np.full((0, *ratio.shape[1:]), np.nan, np.float32)

@@ -74,7 +74,7 @@ def first_pictures(
     require_one_each([p.camera for p in photos], videos=list(videos))
     seen = []
     for view, (photo, video) in enumerate(zip(photos, videos)):
-        picture = to_float(factors.even_out(photo.camera.name, read_frame(video, _FIRST)))
+        picture = to_float(factors.normalise(photo.camera.name, read_frame(video, _FIRST)))
         labels = read_frame(masks[view], _FIRST) if masks else np.zeros(photo.camera.hw, np.uint8)
         if picture.shape[:2] != photo.camera.hw or labels.shape != photo.camera.hw:
             raise UserError(

@@ -145,7 +145,7 @@ def run(
     say(f"segment {segment}: {len(made)} generated views; {holes:.1%} of their pixels appear in no photo (mask 0)")
     if who:
         covered = np.mean([mask == EXCLUDED for _, mask in made])
-        source = "people as a network sees them" if seen else f"{len(fits)} people"
-        say(f"segment {segment}: {covered:.1%} of them is {source}, left out of the training")
+        source = "people by the network's masks" if seen else f"{len(fits)} people"
+        say(f"segment {segment}: {covered:.1%} of their pixels show {source}, left out of the training")
     write_lossless(views, (picture for picture, _ in made), fps)
     write_lossless(support, (mask for _, mask in made), fps)

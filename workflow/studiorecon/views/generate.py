@@ -78,10 +78,10 @@ def run(settings: Settings, requests: list[Path], films: list[Written], weights:
     """Write one film per request, in order; a finished film stays when a later one fails."""
     if len(requests) != len(films):
         raise UserError(f"{len(requests)} requests for {len(films)} films")
-    asked = [read_request(path) for path in requests]
-    for request in asked:
+    contents = [read_request(path) for path in requests]
+    for request in contents:
         adapter("view synthesizer", settings.synthesizer).check(request)
     network = load("view synthesizer", settings.synthesizer, weights, "cuda", **asdict(settings.gen3c))
-    for request, film in zip(asked, films):
+    for request, film in zip(contents, films):
         say(f"{film.name}: {len(request['w2cs_all'])} views, {settings.gen3c.steps} steps, seed {settings.gen3c.seed}")
         write_lossless(film, request_frames(network, request), _FPS)

@@ -68,7 +68,7 @@ def read_photos(
     for camera, plate, depth_path in zip(cameras, plates, depths):
         rgb, measured = read_plate(plate, camera.wh)
         depth_m, _ = read_depth(depth_path, camera.wh)
-        photos.append(warp_source(camera, factors.even_out(camera.name, rgb), measured, depth_m, depth_jump))
+        photos.append(warp_source(camera, factors.normalise(camera.name, rgb), measured, depth_m, depth_jump))
     return photos
 
 

@@ -156,8 +156,8 @@ class Avatar:
     @property
     def drift_mask(self) -> Bool[np.ndarray, " N"]:
         """Which Gaussians ``network`` acts on: the measured ones, or all."""
-        everywhere = self.network is not None and self.network.everywhere
-        return np.ones(len(self.provenance), bool) if everywhere else self.provenance == MEASURED
+        move_unseen = self.network is not None and self.network.move_unseen
+        return np.ones(len(self.provenance), bool) if move_unseen else self.provenance == MEASURED
 
     @cached_property
     def _drift(self) -> Drift | None:

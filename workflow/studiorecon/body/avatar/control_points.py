@@ -38,15 +38,15 @@ class ControlPoints:
         """
         means = np.asarray(means_m, np.float64)
         points = means[farthest_point_sample(means, count)]
-        asked = min(_NEAREST + 1, len(points))
-        distance, near = scipy.spatial.cKDTree(points).query(means, k=asked)
-        distance, near = distance.reshape(len(means), asked), near.reshape(len(means), asked)
-        if asked > _NEAREST:
+        neighbours = min(_NEAREST + 1, len(points))
+        distance, near = scipy.spatial.cKDTree(points).query(means, k=neighbours)
+        distance, near = distance.reshape(len(means), neighbours), near.reshape(len(means), neighbours)
+        if neighbours > _NEAREST:
             shares = np.square(1 - distance / np.maximum(distance[:, -1:], 1e-9))[:, :_NEAREST]
         else:
             # With so few points none takes over from another: the nearest has the largest share. Padding gives all rows
             # one length.
-            padding = ((0, 0), (0, _NEAREST - asked))
+            padding = ((0, 0), (0, _NEAREST - neighbours))
             shares, near = np.pad(1 / np.maximum(distance, 1e-9), padding), np.pad(near, padding)
         total = shares.sum(axis=1, keepdims=True)
         shares = np.where(total > 1e-12, shares / np.maximum(total, 1e-12), np.eye(_NEAREST)[0])

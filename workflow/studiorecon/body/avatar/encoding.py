@@ -31,17 +31,17 @@ def in_body_box(
 
 def encode_position(normalised: Num[np.ndarray, "N 3"]) -> Float[np.ndarray, "N 63"]:
     """Normalised points → float32: the point, then sine and cosine of every band. No float16 anywhere (O01)."""
-    return _encoded(np.asarray(normalised, np.float64), BANDS)
+    return _encode(np.asarray(normalised, np.float64), BANDS)
 
 
-def encode_time(frame: float, frames: int, every_band: bool = False) -> Float[np.ndarray, " 21"]:
+def encode_time(frame: float, frames: int, use_all_bands: bool = False) -> Float[np.ndarray, " 21"]:
     """Float32 code of 0-based ``frame`` of ``frames``; it may be fractional, and time runs from 0 to 1.
 
     With a single frame time is 0 (O03). Bands above half a cycle per frame are 0, because they would be aliased to
-    noise in the frame number (O02). ``every_band`` keeps all bands, as the paper's network has them.
+    noise in the frame number (O02). ``use_all_bands`` keeps all bands, as the paper's network has them.
     """
-    code = _encoded(np.array([[frame / max(frames - 1, 1)]]), BANDS)[0]
-    if not every_band:
+    code = _encode(np.array([[frame / max(frames - 1, 1)]]), BANDS)[0]
+    if not use_all_bands:
         code[1:].reshape(BANDS, 2)[time_bands(frames) :] = 0
     return code
 
@@ -52,7 +52,7 @@ def time_bands(frames: int) -> int:
     return int(np.count_nonzero(per_frame <= 0.5))
 
 
-def _encoded(values: np.ndarray, bands: int) -> np.ndarray:
+def _encode(values: np.ndarray, bands: int) -> np.ndarray:
     """(N, D) float64 → (N, D (1 + 2 bands)) float32; the sines' argument is float64, to keep its rounding out of them.
 
     Each band is twice the one before it, by the double-angle formulas: sines are slow, and nine doublings lose three

@@ -27,7 +27,7 @@ if TYPE_CHECKING:
 WIDTH, LAYERS, SKIP = 256, 8, 4
 _POSITION_INPUTS, _TIME_INPUTS, _OUTPUTS = 63, 21, 4
 _INPUTS = _POSITION_INPUTS + _TIME_INPUTS
-_PAPERS = ("every_band", "everywhere")  # stored only when True
+_PAPERS = ("use_all_bands", "move_unseen")  # stored only when True
 NETWORK: dict[str, Schema] = {
     "flat": real("P"),
     "shape": whole("3", low=1),
@@ -51,8 +51,8 @@ class TemporalNetwork:
         low_m, high_m: opposite corners of the box that positions are normalised to (O01).
         frames: number of frames that time runs over.
         control: the points at which it is evaluated; None evaluates it at every Gaussian (paper).
-        every_band: whether to use time frequencies above what the frames can sample (paper).
-        everywhere: whether it also acts on Gaussians that no camera saw (paper).
+        use_all_bands: whether to use time frequencies above what the frames can sample (paper).
+        move_unseen: whether it also acts on Gaussians that no camera saw (paper).
     """
 
     flat: Float[np.ndarray, " P"]
@@ -62,8 +62,8 @@ class TemporalNetwork:
     high_m: Num[np.ndarray, " 3"]
     frames: int
     control: ControlPoints | None = None
-    every_band: bool = False
-    everywhere: bool = False
+    use_all_bands: bool = False
+    move_unseen: bool = False
     _kept: list[Float[np.ndarray, "M inputs"]] = field(default_factory=list, repr=False)
     _place: Float[np.ndarray, "M 63"] | None = field(default=None, repr=False)
 
@@ -77,8 +77,8 @@ class TemporalNetwork:
         width: int = WIDTH,
         layers: int = LAYERS,
         control: ControlPoints | None = None,
-        every_band: bool = False,
-        everywhere: bool = False,
+        use_all_bands: bool = False,
+        move_unseen: bool = False,
     ) -> TemporalNetwork:
         """Random hidden layers (He), a last layer of zeros: all residuals are 0."""
         size = sum(rows * columns + columns for rows, columns in _shapes(width, layers))
@@ -90,8 +90,8 @@ class TemporalNetwork:
             np.asarray(high_m, np.float64),
             frames,
             control,
-            every_band,
-            everywhere,
+            use_all_bands,
+            move_unseen,
         )
         for weights, _ in made.matrices()[:-1]:
             weights[...] = rng.standard_normal(weights.shape) * np.sqrt(2 / len(weights))
@@ -140,7 +140,7 @@ class TemporalNetwork:
         code = np.empty((len(place), _INPUTS), np.float32)
         code[:, :_POSITION_INPUTS] = place
         at = float(np.clip(frame, 0, self.frames - 1))
-        code[:, _POSITION_INPUTS:] = encode_time(at, self.frames, every_band=self.every_band)
+        code[:, _POSITION_INPUTS:] = encode_time(at, self.frames, use_all_bands=self.use_all_bands)
         # One Gaussian with NaN must not spoil the gradient that all share.
         code[~np.isfinite(code).all(axis=1)] = 0
         self._kept, hidden = [code], code
@@ -191,7 +191,7 @@ class TemporalNetwork:
         size = sum(rows * columns + columns for rows, columns in _shapes(width, layers))
         if flat.size != size:
             raise ValueError(f"network has {flat.size} parameters, expected {size}")
-        return cls(flat, width, layers, *box, frames, control, every_band=papers[0], everywhere=papers[1])
+        return cls(flat, width, layers, *box, frames, control, use_all_bands=papers[0], move_unseen=papers[1])
 
 
 def with_residuals(

@@ -14,8 +14,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 import scipy
 
-from studiorecon.body.fitting.basis import State
-from studiorecon.body.fitting.problem import OWN, Normal, Problem
+from studiorecon.body.fitting.point_model import FitState
+from studiorecon.body.fitting.problem import FRAME_UNKNOWNS, NormalEquations, Problem
 
 if TYPE_CHECKING:
     from jaxtyping import Num
@@ -25,7 +25,7 @@ _CHUNK = 12
 # Frames whose equations are in memory at once; those of half a minute at 30 frames per second are formed only once.
 _BLOCK = 75 * _CHUNK
 
-_Factored = tuple[slice, Normal, np.ndarray, np.ndarray, np.ndarray]
+_Factored = tuple[slice, NormalEquations, np.ndarray, np.ndarray, np.ndarray]
 
 
 def blocks(frames: int) -> list[slice]:
@@ -36,12 +36,12 @@ def blocks(frames: int) -> list[slice]:
 class Equations:
     """Gauss-Newton's equations of a problem at a state."""
 
-    def __init__(self, problem: Problem, state: State) -> None:
+    def __init__(self, problem: Problem, state: FitState) -> None:
         self.state, self._problem = state, problem
         self._blocks = blocks(len(state.trans))
-        self._only: Normal | None = None
+        self._only: NormalEquations | None = None
 
-    def step(self, damping: Num[np.ndarray, " F"]) -> State | None:
+    def step(self, damping: Num[np.ndarray, " F"]) -> FitState | None:
         """The state after a step, frames damped by ``damping``; None where the equations are not positive definite.
 
         In single precision where that suffices: a step may be off by 1e-4 of its length, and the cost decides.
@@ -50,7 +50,7 @@ class Equations:
             product, normal, again = self._eliminated(damping, 1.0, (np.float32, np.float64))
         except np.linalg.LinAlgError:
             return None
-        reduced = normal.shared * (1 + np.median(damping) * np.eye(len(normal.shared))) - product[:-1, :-1]
+        reduced = normal.shared_block * (1 + np.median(damping) * np.eye(len(normal.shared_block))) - product[:-1, :-1]
         shared = -np.linalg.solve(reduced, normal.shared_side - product[:-1, -1])
         frames = len(self.state.trans)
         turns, shifts = np.empty((frames, 24, 3)), np.empty((frames, 3))
@@ -60,11 +60,11 @@ class Equations:
             change = np.stack(
                 [solve(one.T, rest, lower=1, trans=1) for one, rest in zip(lower, half.astype(lower.dtype))]
             )
-            turns[some], shifts[some] = block.turns(change), change[:, 72:]
-        return self.state.moved(turns, shifts, shared)
+            turns[some], shifts[some] = block.local_turns(change), change[:, 72:]
+        return self.state.add_step(turns, shifts, shared)
 
     def posterior(
-        self, state: State
+        self, state: FitState
     ) -> tuple[
         Num[np.ndarray, "F 24 3"],
         Num[np.ndarray, "F 24"],
@@ -90,15 +90,15 @@ class Equations:
             except np.linalg.LinAlgError as error:
                 raise FloatingPointError("the normal equations of the fit are not positive definite") from error
         # Σ a a′ over the columns of this is the shared unknowns' part of the joints' covariance.
-        spread = np.linalg.inv(np.linalg.cholesky(normal.shared - product[:-1, :-1])).T
-        found = [self._deviations(state.at(block[0]), *block[1:4], spread) for block in again]
+        spread = np.linalg.inv(np.linalg.cholesky(normal.shared_block - product[:-1, :-1])).T
+        found = [self._deviations(state.select_frames(block[0]), *block[1:4], spread) for block in again]
         joints, sigmas, turns, parts = (np.concatenate(part) for part in zip(*found))
         betas = np.sqrt((spread**2).sum(1)[: len(state.betas)])
         return joints, sigmas, turns, parts, betas
 
     def _eliminated(
         self, damping: np.ndarray, floor: float, kinds: tuple[type, ...]
-    ) -> tuple[np.ndarray, Normal, Iterable[_Factored]]:
+    ) -> tuple[np.ndarray, NormalEquations, Iterable[_Factored]]:
         """Σ [C g]ᵀ H⁻¹ [C g] (S + 1, S + 1) over all blocks, the last block's equations, and all blocks factored again.
 
         The last block's equations hold all shared terms. Raises LinAlgError where a block is not positive definite.
@@ -114,7 +114,9 @@ class Equations:
         precision = self._problem.shared_precision
         shared, side = np.diag(precision), precision * self.state.shared
         for some in self._blocks:
-            normal = self._only or self._problem.select_frames(some).normal(self.state.at(some), shared, side)
+            normal = self._only or self._problem.select_frames(some).normal_equations(
+                self.state.select_frames(some), shared, side
+            )
             self._only = normal if len(self._blocks) == 1 else None
             for kind in kinds:
                 if (factors := _factors(normal, damping[some], floor, kind)) is not None:
@@ -124,27 +126,27 @@ class Equations:
                 raise np.linalg.LinAlgError
 
     def _deviations(
-        self, state: State, normal: Normal, lower: np.ndarray, solved: np.ndarray, spread: np.ndarray
+        self, state: FitState, normal: NormalEquations, lower: np.ndarray, solved: np.ndarray, spread: np.ndarray
     ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
         """Joints, and deviations of joints, turns and parts, in some frames."""
-        linear = self._problem.skeleton.linear(state)
-        frames, shapes = len(lower), linear.shaped.shape[-1]
+        linear = self._problem.skeleton.linearise(state)
+        frames, shapes = len(lower), linear.by_shape.shape[-1]
         variance, turns, parts = np.empty((frames, 72)), np.empty((frames, 24, 3, 3)), np.empty((frames, 24))
         for start in range(0, frames, _CHUNK):
             few = slice(start, start + _CHUNK)
             roots = np.tril([scipy.linalg.lapack.dtrtri(one.T, lower=1)[0] for one in lower[few]])  # L⁻¹
-            by_axis = roots[..., :72].reshape(-1, OWN, 3, 24)
+            by_axis = roots[..., :72].reshape(-1, FRAME_UNKNOWNS, 3, 24)
             per_joint = np.moveaxis(by_axis, -1, 1)  # (F, 24, 75, 3)
             turns[few] = np.swapaxes(per_joint, -1, -2) @ per_joint
-            parts[few] = ((by_axis.reshape(-1, 3 * OWN, 24) @ self._problem.basis.ancestors) ** 2).sum(1)
-            rows = np.zeros((len(roots), 3, 24, OWN))
+            parts[few] = ((by_axis.reshape(-1, 3 * FRAME_UNKNOWNS, 24) @ self._problem.model.ancestors) ** 2).sum(1)
+            rows = np.zeros((len(roots), 3, 24, FRAME_UNKNOWNS))
             rows[:, range(3), :, range(72, 75)] = 1.0
             for a, b, c in ((0, 1, 2), (1, 2, 0), (2, 0, 1)):  # component a of ω × D is ω_b D_c − ω_c D_b
-                rows[:, a, :, 24 * b : 24 * b + 24] = linear.turned[few, :, :, c]
-                rows[:, a, :, 24 * c : 24 * c + 24] = -linear.turned[few, :, :, b]
-            half = rows.reshape(-1, 72, OWN) @ np.swapaxes(roots, 1, 2)
+                rows[:, a, :, 24 * b : 24 * b + 24] = linear.by_turn[few, :, :, c]
+                rows[:, a, :, 24 * c : 24 * c + 24] = -linear.by_turn[few, :, :, b]
+            half = rows.reshape(-1, 72, FRAME_UNKNOWNS) @ np.swapaxes(roots, 1, 2)
             through = half @ np.swapaxes(solved[few, :-1], 1, 2)
-            through[..., :shapes] -= np.swapaxes(linear.shaped[few], 1, 2).reshape(-1, 72, shapes)
+            through[..., :shapes] -= np.swapaxes(linear.by_shape[few], 1, 2).reshape(-1, 72, shapes)
             variance[few] = np.einsum("frp,frp->fr", half, half) + ((through @ spread) ** 2).sum(-1)
         joint_variance = variance.reshape(frames, 3, 24).mean(1)
         turn_variance = np.einsum("fjyx,fjyz,fjzx->fjx", normal.world, turns, normal.world, optimize=True)
@@ -152,11 +154,11 @@ class Equations:
 
 
 def _factors(
-    normal: Normal, damping: np.ndarray, floor: float, kind: type
+    normal: NormalEquations, damping: np.ndarray, floor: float, kind: type
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray] | None:
     """Factors L of H, transposed, rows of L⁻¹[C g], and Σ [C g]ᵀ H⁻¹ [C g]; None where H is not positive definite."""
-    lower: np.ndarray = normal.own.astype(kind)
-    solved: np.ndarray = normal.rows.astype(kind)
+    lower: np.ndarray = normal.frame_blocks.astype(kind)
+    solved: np.ndarray = normal.coupling.astype(kind)
     diagonal = np.einsum("fii->fi", lower)
     diagonal += damping[:, None] * (diagonal + floor)
     lapack, blas = scipy.linalg.lapack, scipy.linalg.blas

@@ -18,10 +18,10 @@ import numpy as np
 
 from studiorecon.arrays import require
 from studiorecon.body.fitting import multi_start
-from studiorecon.body.fitting.basis import Basis, State
 from studiorecon.body.fitting.elimination import Equations
 from studiorecon.body.fitting.levenberg_marquardt import descend
-from studiorecon.body.fitting.problem import PointEvidence, Problem, Pulls
+from studiorecon.body.fitting.point_model import FitState, PointModel
+from studiorecon.body.fitting.problem import PointEvidence, PriorWeights, Problem
 from studiorecon.body.fitting.start import initial_pose
 from studiorecon.body.model import BodyModel
 
@@ -145,7 +145,7 @@ def fit(
     if not valid.any():
         return out
     evidence = merge_points(body, names, points_m[valid], sigma_m[valid], settings, surface_in_frames(surface, valid))
-    pulls = Pulls(
+    priors = PriorWeights(
         settings.huber_units,
         settings.pose_weight,
         settings.limit_weight,
@@ -153,14 +153,14 @@ def fit(
         settings.correction_sigma_m,
         settings.free_scale,
     )
-    problem = Problem(body, evidence, pulls)
-    state = State(first.local[valid], first.trans_m[valid], np.zeros(body.shapes), 0.0, np.zeros((count, 3)))
+    problem = Problem(body, evidence, priors)
+    state = FitState(first.local[valid], first.trans_m[valid], np.zeros(body.shapes), 0.0, np.zeros((count, 3)))
     state, equations, steps, converged = descend(problem, state, settings.iterations, settings.tolerance)
     spread, doubtful = None, multi_start.has_too_few_points(names, seen[valid])
     if doubtful.any():
         state, spread = multi_start.best_start(problem, state, doubtful, settings.iterations, settings.tolerance)
         equations = Equations(problem, state)
-    residual = np.linalg.norm(evidence.basis.points(state) - evidence.targets_m, axis=-1)[:, :count]
+    residual = np.linalg.norm(evidence.model.points(state) - evidence.targets_m, axis=-1)[:, :count]
     out.rotations[valid], out.trans_m[valid], out.frame_betas[valid] = state.local, state.trans, state.betas
     joints, *sigmas, out.beta_sigma[:] = equations.posterior(state)
     if spread is not None:
@@ -232,10 +232,10 @@ def merge_points(
     surface: SurfacePoints | None,
 ) -> PointEvidence:
     """Keypoints and surface points as one set; in a frame the surface weighs ``vertex_weight`` times its keypoints."""
-    share, anchors = body.keypoint_basis(names)
+    share, anchors = body.keypoint_anchors(names)
     targets, sigma = np.asarray(points_m, dtype=np.float64), np.asarray(sigma_m, dtype=np.float64)
     if surface is not None and settings.vertex_weight > 0:
-        on_skin, skin_anchors = body.vertex_basis(surface.vertices)
+        on_skin, skin_anchors = body.vertex_anchors(surface.vertices)
         share, anchors = np.concatenate([share, on_skin]), np.concatenate([anchors, skin_anchors])
         targets = np.concatenate([targets, surface.points_m], axis=1)
         sigma = np.concatenate([sigma, surface.sigma_m], axis=1)
@@ -250,7 +250,10 @@ def merge_points(
         if parent >= 0:
             ancestors[:, j] += ancestors[:, parent]
     return PointEvidence(
-        Basis(body, share, anchors, ancestors, len(names)), np.where(seen[..., None], targets, 0.0), precision, counts
+        PointModel(body, share, anchors, ancestors, len(names)),
+        np.where(seen[..., None], targets, 0.0),
+        precision,
+        counts,
     )
 
 

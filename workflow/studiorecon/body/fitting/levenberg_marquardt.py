@@ -13,8 +13,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from studiorecon.body.fitting.basis import State
 from studiorecon.body.fitting.elimination import Equations, blocks
+from studiorecon.body.fitting.point_model import FitState
 from studiorecon.body.fitting.problem import Problem
 
 if TYPE_CHECKING:
@@ -27,7 +27,9 @@ _DAMPING, _MIN_DAMPING, _MAX_DAMPING, _MORE, _LESS, _TRIALS = 1e-3, 1e-7, 1e3, 8
 _BUSY, _FEW = 0.01, 0.3
 
 
-def descend(problem: Problem, state: State, iterations: int, tolerance: float) -> tuple[State, Equations, int, bool]:
+def descend(
+    problem: Problem, state: FitState, iterations: int, tolerance: float
+) -> tuple[FitState, Equations, int, bool]:
     """The state of least cost within ``iterations`` steps, last equations, number of steps, and whether they converged.
 
     Converged: a step of all unknowns gains less than ``tolerance`` of the cost, or nothing.
@@ -53,63 +55,68 @@ def descend(problem: Problem, state: State, iterations: int, tolerance: float) -
             return state, equations, step, True
         if 0 < busy.sum() <= _FEW * len(busy):
             part, costs[busy], damping[busy] = descend_per_frame(
-                problem.select_frames(busy), state.at(busy), costs[busy], iterations, tolerance, damping[busy]
+                problem.select_frames(busy),
+                state.select_frames(busy),
+                costs[busy],
+                iterations,
+                tolerance,
+                damping[busy],
             )
             state = state.replace_frames(busy, part)
     return state, equations, iterations, False
 
 
 def _reject_worse_steps(
-    problem: Problem, state: State, moved: State, costs: np.ndarray
-) -> tuple[State, np.ndarray, np.ndarray]:
+    problem: Problem, state: FitState, moved: FitState, costs: np.ndarray
+) -> tuple[FitState, np.ndarray, np.ndarray]:
     """``moved``, with old poses of frames where those are better with the new shape; costs, and which frames."""
     new_costs = problem.costs(moved)
     worse = new_costs > costs
     if worse.any():
-        old = State(state.local[worse], state.trans[worse], moved.betas, moved.log_scale, moved.corrections)
+        old = FitState(state.local[worse], state.trans[worse], moved.betas, moved.log_scale, moved.corrections)
         held_costs = problem.select_frames(worse).costs(old)
         better = held_costs < new_costs[worse]
         worse[worse] = better
         new_costs[worse] = held_costs[better]
         moved = moved.replace_frames(
-            worse, State(old.local[better], old.trans[better], moved.betas, moved.log_scale, moved.corrections)
+            worse, FitState(old.local[better], old.trans[better], moved.betas, moved.log_scale, moved.corrections)
         )
     return moved, new_costs, worse
 
 
 def descend_per_frame(
     problem: Problem,
-    state: State,
+    state: FitState,
     costs: Num[np.ndarray, " F"],
     iterations: int,
     tolerance: float,
     damping: Num[np.ndarray, " F"] | None = None,
-) -> tuple[State, Num[np.ndarray, " F"], Num[np.ndarray, " F"]]:
+) -> tuple[FitState, Num[np.ndarray, " F"], Num[np.ndarray, " F"]]:
     """State, costs and damping after every frame is solved with the shared unknowns fixed, until none gains.
 
     ``costs`` are those of ``state``; ``damping`` is the start value, by default that of ``descend``.
     """
     costs, damping = costs.copy(), np.full(len(costs), _DAMPING) if damping is None else damping.copy()
     for some in blocks(len(costs)):
-        part, costs[some], damping[some] = _alone(
-            problem.select_frames(some), state.at(some), costs[some], iterations, tolerance, damping[some]
+        part, costs[some], damping[some] = _descend_block(
+            problem.select_frames(some), state.select_frames(some), costs[some], iterations, tolerance, damping[some]
         )
         state = state.replace_frames(some, part)
     return state, costs, damping
 
 
-def _alone(
-    problem: Problem, state: State, costs: np.ndarray, iterations: int, tolerance: float, damping: np.ndarray
-) -> tuple[State, np.ndarray, np.ndarray]:
+def _descend_block(
+    problem: Problem, state: FitState, costs: np.ndarray, iterations: int, tolerance: float, damping: np.ndarray
+) -> tuple[FitState, np.ndarray, np.ndarray]:
     busy = np.ones(len(costs), dtype=bool)
     for _ in range(iterations):
-        part, old = problem.select_frames(busy), state.at(busy)
-        moved = part.own_step(old, part.own(old), damping[busy])
+        part, old = problem.select_frames(busy), state.select_frames(busy)
+        moved = part.step_frames(old, part.frame_equations(old), damping[busy])
         new_costs = part.costs(moved)
         before = costs[busy]
         better = new_costs < before
         at = np.flatnonzero(busy)
-        state = state.replace_frames(at[better], moved.at(better))
+        state = state.replace_frames(at[better], moved.select_frames(better))
         costs[at[better]] = new_costs[better]
         damping[at] = np.where(better, np.maximum(damping[at] / _LESS, _MIN_DAMPING), damping[at] * _MORE)
         # A frame has converged when a step gains little, or when none gains however short it is.

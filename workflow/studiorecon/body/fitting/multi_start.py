@@ -15,8 +15,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from studiorecon.body.fitting import prior
-from studiorecon.body.fitting.basis import State
 from studiorecon.body.fitting.levenberg_marquardt import descend_per_frame
+from studiorecon.body.fitting.point_model import FitState
 from studiorecon.body.fitting.problem import Problem
 from studiorecon.geometry import rotations
 
@@ -50,24 +50,24 @@ def has_too_few_points(names: list[str], seen: Num[np.ndarray, "F K"]) -> Num[np
 
 
 def best_start(
-    problem: Problem, state: State, chosen: Bool[np.ndarray, " F"], iterations: int, tolerance: float
-) -> tuple[State, Spread]:
+    problem: Problem, state: FitState, chosen: Bool[np.ndarray, " F"], iterations: int, tolerance: float
+) -> tuple[FitState, Spread]:
     """The state of least cost from all start directions in the ``chosen`` frames, and the other solutions' variance.
 
     About 10 ms for each chosen frame. Shape and corrections stay.
     """
-    part, first = problem.select_frames(chosen), state.at(chosen)
+    part, first = problem.select_frames(chosen), state.select_frames(chosen)
     solutions, costs = [first], [part.costs(first)]
     for turn in _TURNS:
         local = np.tile(prior.mean_pose(), (len(first.trans), 1, 1, 1))
         local[:, 0] = first.local[:, 0] @ rotations.exp(np.array(turn))
-        other = State(local, first.trans, first.betas, first.log_scale, first.corrections)
+        other = FitState(local, first.trans, first.betas, first.log_scale, first.corrections)
         other, cost, _ = descend_per_frame(part, other, part.costs(other), iterations, tolerance)
         solutions.append(other)
         costs.append(cost)
     winner = np.argmin(costs, axis=0)
     frames = np.arange(len(winner))
-    best = State(
+    best = FitState(
         np.array([s.local for s in solutions])[winner, frames],
         np.array([s.trans for s in solutions])[winner, frames],
         first.betas,
@@ -76,10 +76,10 @@ def best_start(
     )
     likely = np.exp(np.min(costs, axis=0) - np.array(costs))
     likely /= likely.sum(0)
-    at_best = part.skeleton.posed(best)
+    at_best = part.skeleton.pose(best)
     joints, turns, parts = np.zeros((len(winner), 24)), np.zeros((len(winner), 24, 3)), np.zeros((len(winner), 24))
     for weight, other in zip(likely, solutions):
-        posed = part.skeleton.posed(other)
+        posed = part.skeleton.pose(other)
         joints += weight[:, None] * ((posed.points - at_best.points) ** 2).mean(-1)
         turns += weight[:, None, None] * rotations.log(np.swapaxes(best.local, -1, -2) @ other.local) ** 2
         parts += weight[:, None] * rotations.angle(posed.world, at_best.world) ** 2

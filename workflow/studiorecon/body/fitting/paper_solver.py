@@ -16,8 +16,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from studiorecon.body.fitting import fit as fitting
-from studiorecon.body.fitting.basis import Basis, State
 from studiorecon.body.fitting.fit import Fit, FitSettings, SurfacePoints
+from studiorecon.body.fitting.point_model import FitState, PointModel
 from studiorecon.body.fitting.start import initial_pose
 from studiorecon.body.model import BodyModel
 from studiorecon.body.skinning import forward_kinematics
@@ -62,7 +62,7 @@ def fit(
     for first in range(0, frames, at_once):
         own = np.arange(frames) // at_once == first // at_once
         parts.append(
-            _together(body, names, points_m[own], sigma_m[own], settings, fitting.surface_in_frames(surface, own))
+            _fit_block(body, names, points_m[own], sigma_m[own], settings, fitting.surface_in_frames(surface, own))
         )
     if len(parts) == 1:
         return parts[0]
@@ -79,7 +79,7 @@ def fit(
     )
 
 
-def _together(
+def _fit_block(
     body: BodyModel,
     names: list[str],
     points_m: np.ndarray,
@@ -98,15 +98,15 @@ def _together(
     evidence = fitting.merge_points(
         body, names, points_m[valid], sigma_m[valid], settings, fitting.surface_in_frames(surface, valid)
     )
-    seen_rows, basis = (evidence.precision > 0).astype(np.float64), evidence.basis
+    seen_rows, model = (evidence.precision > 0).astype(np.float64), evidence.model
     pose = _Pose(first.local[valid], first.trans_m[valid], np.zeros((int(valid.sum()), body.shapes)))
     loss, steps, converged = np.inf, 0, False
     while steps < settings.iterations and not converged:
         steps += 1
-        pose = _turned(basis, pose, evidence.targets_m, seen_rows)
-        pose = _shaped(basis, pose, evidence.targets_m, seen_rows, settings.beta_weight)
+        pose = _turn_joints(model, pose, evidence.targets_m, seen_rows)
+        pose = _fit_shape(model, pose, evidence.targets_m, seen_rows, settings.beta_weight)
         residual = (
-            np.linalg.norm(_points(basis, pose, _shaped_offsets(basis, pose.betas))[0] - evidence.targets_m, axis=-1)
+            np.linalg.norm(_points(model, pose, _shaped_offsets(model, pose.betas))[0] - evidence.targets_m, axis=-1)
             * seen_rows
         )
         before, loss = loss, float((residual**2).sum() + settings.beta_weight * (pose.betas**2).sum())
@@ -119,37 +119,37 @@ def _together(
     return replace(out, betas=np.median(pose.betas, axis=0), iterations=steps, converged=converged)
 
 
-def _shaped_offsets(basis: Basis, betas: np.ndarray) -> np.ndarray:
+def _shaped_offsets(model: PointModel, betas: np.ndarray) -> np.ndarray:
     """(F, 24, K, 3) the vectors that each joint's rotation turns, for a shape per frame."""
-    return basis.offsets[..., 0] + np.einsum("jkxb,fb->fjkx", basis.offsets[..., 1:], betas, optimize=True)
+    return model.offsets[..., 0] + np.einsum("jkxb,fb->fjkx", model.offsets[..., 1:], betas, optimize=True)
 
 
-def _points(basis: Basis, pose: _Pose, offsets: np.ndarray) -> tuple[np.ndarray, ...]:
+def _points(model: PointModel, pose: _Pose, offsets: np.ndarray) -> tuple[np.ndarray, ...]:
     """World points (F, K, 3), parts per joint (F, 24, K, 3) and joints (F, 24, 3) about the pelvis, and G."""
-    body = basis.body
+    body = model.body
     rest = body.joint_template_m + np.einsum("jxb,fb->fjx", body.joint_directions, pose.betas)
     world, joints = forward_kinematics(pose.local, rest, body.parents)
-    parts = offsets @ np.swapaxes(world, -1, -2) + basis.share.T[..., None] * joints[:, :, None]
+    parts = offsets @ np.swapaxes(world, -1, -2) + model.share.T[..., None] * joints[:, :, None]
     return parts.sum(1) + pose.trans[:, None], parts, joints, world
 
 
-def _turned(basis: Basis, pose: _Pose, targets: np.ndarray, seen: np.ndarray) -> _Pose:
+def _turn_joints(model: PointModel, pose: _Pose, targets: np.ndarray, seen: np.ndarray) -> _Pose:
     """The pose with every joint turned by the rotation that brings the points below it closest to their targets."""
-    local, offsets = pose.local.copy(), _shaped_offsets(basis, pose.betas)
+    local, offsets = pose.local.copy(), _shaped_offsets(model, pose.betas)
     for joint in range(24):
-        if not basis.subtree_share[:, joint].any():
+        if not model.subtree_share[:, joint].any():
             continue
-        points, parts, joints, world = _points(basis, _Pose(local, pose.trans, pose.betas), offsets)
+        points, parts, joints, world = _points(model, _Pose(local, pose.trans, pose.betas), offsets)
         below = (
-            np.tensordot(parts, basis.ancestors[joint], ((1,), (0,)))
-            - basis.subtree_share[:, joint, None] * joints[:, None, joint]
+            np.tensordot(parts, model.ancestors[joint], ((1,), (0,)))
+            - model.subtree_share[:, joint, None] * joints[:, None, joint]
         )
         wanted = targets - (points - below)
         # Weighted by the joint's share in moving a point: 0 for all points above it.
         moment = np.swapaxes(wanted * seen[..., None], 1, 2) @ below
         moment += _STAY * np.einsum("fk,fkx,fkx->f", seen, below, below)[:, None, None] * np.eye(3) + 1e-12 * np.eye(3)
         turned = rotations.project_to_so3(moment) @ world[:, joint]
-        parent = basis.body.parents[joint]
+        parent = model.body.parents[joint]
         # Projected again: rounding would double with every joint down the tree and break a long descent (R18).
         local[:, joint] = rotations.project_to_so3(
             np.swapaxes(world[:, parent], -1, -2) @ turned if parent >= 0 else turned
@@ -157,13 +157,13 @@ def _turned(basis: Basis, pose: _Pose, targets: np.ndarray, seen: np.ndarray) ->
     return replace(pose, local=local)
 
 
-def _shaped(basis: Basis, pose: _Pose, targets: np.ndarray, seen: np.ndarray, beta_weight: float) -> _Pose:
+def _fit_shape(model: PointModel, pose: _Pose, targets: np.ndarray, seen: np.ndarray, beta_weight: float) -> _Pose:
     """The pose with betas and position of every frame from ridge regression, rotations fixed."""
-    shapes, corrections = basis.body.shapes, np.zeros((basis.corrected, 3))
-    at_mean = basis.linear(State(pose.local, np.zeros_like(pose.trans), np.zeros(shapes), 0.0, corrections))
+    shapes, corrections = model.body.shapes, np.zeros((model.corrected, 3))
+    at_mean = model.linearise(FitState(pose.local, np.zeros_like(pose.trans), np.zeros(shapes), 0.0, corrections))
     frames, count = at_mean.points.shape[:2]
     rows = (
-        np.concatenate([at_mean.shaped[..., :-1], np.broadcast_to(np.eye(3), (frames, count, 3, 3))], axis=-1)
+        np.concatenate([at_mean.by_shape[..., :-1], np.broadcast_to(np.eye(3), (frames, count, 3, 3))], axis=-1)
         * seen[..., None, None]
     )
     rows = rows.reshape(frames, 3 * count, -1)

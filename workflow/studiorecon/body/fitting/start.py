@@ -45,9 +45,9 @@ def initial_pose(
     frames = len(points_m)
     at = {n: k for k, n in enumerate(names)}
     local = np.tile(prior.mean_pose(), (frames, 1, 1, 1))
-    share, anchors = body.keypoint_basis(names)
+    share, anchors = body.keypoint_anchors(names)
     on_body = share, anchors[..., 0]
-    relaxed = _posed(body, on_body, local[:1])[0]
+    relaxed = _keypoints_about_pelvis(body, on_body, local[:1])[0]
     torso = [k for n, k in at.items() if n in _TORSO_MIDDLE or n.partition("_")[2] in _TORSO]
     in_torso = np.zeros(len(names), dtype=bool)
     in_torso[torso] = True
@@ -60,7 +60,9 @@ def initial_pose(
         swung[:, 0] = turn
         _swing_limbs(body, at, points_m, seen, swung)
         # Bounded, so that outliers do not decide.
-        apart = np.minimum(np.linalg.norm(_posed(body, on_body, swung) + shift[:, None] - points_m, axis=-1), _FAR_M)
+        apart = np.minimum(
+            np.linalg.norm(_keypoints_about_pelvis(body, on_body, swung) + shift[:, None] - points_m, axis=-1), _FAR_M
+        )
         apart = np.where(seen, apart, 0.0).sum(1) / np.maximum(seen.sum(1), 1)
         better = determined & (apart < misfit)
         misfit = np.where(better, apart, misfit)
@@ -72,7 +74,7 @@ def initial_pose(
     return Start(best.local, best.trans_m, best.determined & (seen.sum(1) >= _MIN_POINTS))
 
 
-def _posed(body: BodyModel, on_body: tuple[np.ndarray, np.ndarray], local: np.ndarray) -> np.ndarray:
+def _keypoints_about_pelvis(body: BodyModel, on_body: tuple[np.ndarray, np.ndarray], local: np.ndarray) -> np.ndarray:
     """(T, K, 3) keypoints of the mean shape about its pelvis, from their shares (K, 24) and anchors (K, 24, 3)."""
     share, anchors = on_body
     rest = body.rest_joints(np.zeros(1))

@@ -9,12 +9,12 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from studiorecon.arrays import evenly_spread
+from studiorecon.arrays import spread_indices
 from studiorecon.calibration.checks import coverage as health
 from studiorecon.calibration.checks import sanity
 from studiorecon.calibration.checks.advice import verdict
 from studiorecon.calibration.checks.edges import compare_edges
-from studiorecon.calibration.checks.refined import refined_on_people
+from studiorecon.calibration.checks.refined import refine_on_people
 from studiorecon.calibration.people_evidence import FRAMES
 from studiorecon.errors import UserError
 from studiorecon.geometry.camera_path import scene_centre
@@ -61,7 +61,7 @@ def examine(
     """
     names = [c.name for c in cameras]
     frames = min(int(a["frames"]) for a in about)
-    chosen, people = evenly_spread(frames, FRAMES), any(len(d.frame) for d in detections)
+    chosen, people = spread_indices(frames, FRAMES), any(len(d.frame) for d in detections)
     few = chosen[:: max(1, len(chosen) // 6)]
     fit = _fit_of_people(cameras, detections, chosen, settings)
     limit_px = settings.limit_px(cameras, fit.points_m)
@@ -74,7 +74,7 @@ def examine(
     described = settings.gate_m, settings.limits
     if people:
         watched, good_px = active_cameras(detections, fps), 0.5 * limit_px
-        refined = refined_on_people(
+        refined = refine_on_people(
             *(cameras, detections, watched, frames, fit.median_px, good_px), *described, settings.bundle, rooms
         )
     if people and (fit.median_px is None or any(e is None or e > limit_px for e in fit.per_camera_px)):

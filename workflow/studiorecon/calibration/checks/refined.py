@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from studiorecon.arrays import evenly_spread
+from studiorecon.arrays import spread_indices
 from studiorecon.geometry.bundle import BundleSettings
 from studiorecon.geometry.triangulation import Limits
 from studiorecon.rig.bundle import error_medians, fit_cameras
@@ -67,7 +67,7 @@ def move_by_camera(cameras: Sequence[Camera], given: Sequence[Camera]) -> dict[s
     }
 
 
-def refined_on_people(
+def refine_on_people(
     cameras: Sequence[Camera],
     detections: Sequence[Detections],
     watched: Sequence[int],
@@ -87,7 +87,7 @@ def refined_on_people(
     """
     if len(cameras) < 3 or len(watched) < 2:
         return None
-    chosen = evenly_spread(frames, _FRAMES)
+    chosen = spread_indices(frames, _FRAMES)
     before_px = np.nan if median_px is None else median_px
     anew = relocalise(cameras, detections, watched, chosen, gate_m, 0.0, limits, bundle, before_px, allowed_px, rooms)
     seen = make_observations(detections, cameras, chosen, gate_m)[0] if anew is None else anew.seen

@@ -66,9 +66,9 @@ def unused_reason(path: Path, used: Sequence[Path]) -> str | None:
     return None
 
 
-def _recognised(asked: object, path: Path) -> bool:
+def _recognised(recognises: object, path: Path) -> bool:
     try:
-        return bool(asked(path))  # type: ignore[operator]
+        return bool(recognises(path))  # type: ignore[operator]
     except UserError:
         return False
 

@@ -57,14 +57,14 @@ class _HeightVotes:
         step: their height, in steps above people's feet.
         score: how well they match.
         at_feet_m: positions of all comparable pixels at the height of people's feet.
-        stood_on: (M,) bool: their surface may be at that height.
+        can_be_floor: (M,) bool: their surface may be at that height.
     """
 
     place_m: Float[np.ndarray, "N 3"]
     step: Integer[np.ndarray, " N"]
     score: Float[np.ndarray, " N"]
     at_feet_m: Float[np.ndarray, "M 2"]
-    stood_on: Bool[np.ndarray, " M"]
+    can_be_floor: Bool[np.ndarray, " M"]
 
 
 @dataclass(frozen=True)
@@ -83,12 +83,12 @@ def fit_platform(
 
     A tenth of a second for four pictures 240 pixels wide where photos agree on the floor, 3 s where they do not.
     """
-    if _disagreeing(pictures, standing_m, how) < _MIN_DISAGREEING:
+    if _mismatch_share(pictures, standing_m, how) < _MIN_DISAGREEING:
         return None
     votes = _height_votes(pictures, standing_m, how)
-    if not votes.stood_on.any():
+    if not votes.can_be_floor.any():
         return None
-    corner, upper = _densest(votes.at_feet_m @ axes[:2, :2].T, votes.stood_on)
+    corner, upper = _densest(votes.at_feet_m @ axes[:2, :2].T, votes.can_be_floor)
     level, below = np.abs(votes.step) <= _OWN, votes.step < -_OWN
     local = votes.place_m @ axes.T
     outside = ((local[:, :2] < corner) | (local[:, :2] > upper)).any(axis=1)
@@ -113,7 +113,7 @@ def fit_platform(
     return RaisedFloor(Platform(corner, upper, standing_m), floor_m, score)
 
 
-def _disagreeing(pictures: Sequence[Picture], standing_m: float, how: Matching) -> float:
+def _mismatch_share(pictures: Sequence[Picture], standing_m: float, how: Matching) -> float:
     """Share of the textured pixels at the height of people's feet, seen by other cameras there, that do not match."""
     agreed = disagreed = 0
     for i, picture in enumerate(pictures):
@@ -167,7 +167,7 @@ def _height_votes(pictures: Sequence[Picture], standing_m: float, how: Matching)
         if i != j
     }
     places, chosen, scores = [np.zeros((0, 3))], [np.zeros(0, np.int64)], [np.zeros(0, np.float32)]
-    feet, stood_on = [np.zeros((0, 2))], [np.zeros(0, bool)]
+    feet, can_be_floor = [np.zeros((0, 2))], [np.zeros(0, bool)]
     for i, picture in enumerate(pictures):
         centre, centres = picture.camera.centre_m, picture.camera.pixel_centres()
         # Only rays that point down meet heights below the camera.
@@ -180,7 +180,7 @@ def _height_votes(pictures: Sequence[Picture], standing_m: float, how: Matching)
         on_it = (level > _AGREED) & (level > up_to - _NEARLY)
         clear = usable & (level > UNKNOWN) & (on_it | (level < _DISAGREED) | (level < up_to - _WORSE))
         feet.append((centre + ((standing_m - centre[2]) / rays[clear][:, 2])[:, None] * rays[clear])[:, :2])
-        stood_on.append(on_it[clear])
+        can_be_floor.append(on_it[clear])
         for j, other in enumerate(pictures):
             if j == i:
                 continue
@@ -196,7 +196,7 @@ def _height_votes(pictures: Sequence[Picture], standing_m: float, how: Matching)
             places.append(place[mutual])
             chosen.append(steps[own[mutual]])
             scores.append(pair.top[at][mutual])
-    return _HeightVotes(*(np.concatenate(parts) for parts in (places, chosen, scores, feet, stood_on)))
+    return _HeightVotes(*(np.concatenate(parts) for parts in (places, chosen, scores, feet, can_be_floor)))
 
 
 def _cells(local_m: Float[np.ndarray, "N 3"]) -> Integer[np.ndarray, "M 2"]:

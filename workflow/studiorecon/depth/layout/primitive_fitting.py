@@ -117,10 +117,10 @@ def hill_climb(
         around = neighbour_primitives(now, step_m, turns)
         return around[is_allowed(around, room_box, taken)]
 
-    return _moved(room, primitive, gain, steps_m, others, _MIN_MORE)
+    return _move_primitive(room, primitive, gain, steps_m, others, _MIN_MORE)
 
 
-def _widened(
+def _widen_platform(
     room: PhotoCostVolume, platform: Float[np.ndarray, " 7"], gain: float
 ) -> tuple[Float[np.ndarray, " 7"], float]:
     """The platform with its sides moved outwards while that explains more, and its gain."""
@@ -130,10 +130,10 @@ def _widened(
         wider = around[:, 3:5].sum(axis=1) > now[3:5].sum()
         return around[wider & (around[:, 5:] == now[5:]).all(axis=1)]
 
-    return _moved(room, platform, gain, _STEPS_M[:3], others, _MIN_MORE_SHARE * gain)
+    return _move_primitive(room, platform, gain, _STEPS_M[:3], others, _MIN_MORE_SHARE * gain)
 
 
-def _moved(
+def _move_primitive(
     room: PhotoCostVolume,
     primitive: Float[np.ndarray, " 7"],
     gain: float,
@@ -218,10 +218,10 @@ def fit_primitives(
     room = PhotoCostVolume.of_empty_room(pictures, room_box, window, mean_weight)
     evidence: list[float] = []
     if room_box.platform is not None:
-        stood_on = _platform_box(room_box.platform, room_box)
-        stood_on, gain = _widened(room, stood_on, float(room.gains(stood_on[None])[0]))
+        platform = _platform_box(room_box.platform, room_box)
+        platform, gain = _widen_platform(room, platform, float(room.gains(platform[None])[0]))
         evidence.append(gain)
-        room.add(stood_on)
+        room.add(platform)
     taken = np.concatenate([append_distance(room.centre, _CLEARANCE_M), free_m])
     proposals = np.array(
         [

@@ -215,7 +215,7 @@ def single_view_proposals(room: PhotoCostVolume, room_box: RoomBox) -> Iterator[
     """(area, primitive) of regions seen by one camera that differ from wall and floor behind, on their lowest point."""
     for v in range(len(room.known)):
         alone = room.known[v] & (room.cost[v] >= UNSEEN) & (room.surface[v] < 6)
-        unlike = (alone & (room.odds[v] > _UNLIKE)).astype(np.uint8)
+        unlike = (alone & (room.foreground_log_odds[v] > _UNLIKE)).astype(np.uint8)
         for how, gap in ((cv2.MORPH_OPEN, (2, 2)), (cv2.MORPH_CLOSE, _GAP_PX)):
             unlike = cv2.morphologyEx(unlike, how, np.ones(gap, np.uint8))
         count, labels, stats, _ = cv2.connectedComponentsWithStats(unlike, connectivity=4)

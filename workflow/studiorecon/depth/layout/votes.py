@@ -41,7 +41,7 @@ class Votes:
         near = (self.planes[:, :3] @ normal > 0.999) & (np.abs(self.planes[:, 3] - offset) < reach_m)
         return [m & near[c] for c, m in zip(self.chosen, self.confident)]
 
-    def inside(self, pictures: Sequence[Picture], room_box: RoomBox) -> Votes:
+    def inside_room(self, pictures: Sequence[Picture], room_box: RoomBox) -> Votes:
         """The votes with points inside the room box, because no camera sees through a wall."""
         kept = []
         for picture, chosen, confident in zip(pictures, self.chosen, self.confident):
@@ -61,7 +61,7 @@ class Votes:
 
 
 @dataclass(frozen=True)
-class Swept:
+class PlaneSweep:
     """All sweeps of a scene: ``votes`` of all cameras, and exposure ``gains`` that make them agree on the floor.
 
     ``floor_m`` and ``yaw_rad`` are the height of the floor and the direction of the walls of the catalogue.
@@ -84,15 +84,15 @@ _SWEEP = {
 }
 
 
-def _checked(arrays: dict[str, Any]) -> dict[str, Any]:
+def _check_votes(arrays: dict[str, Any]) -> dict[str, Any]:
     most = int(arrays["chosen"].max(initial=0))
     expect(most < len(arrays["planes"]), f"chosen names plane {most} of {len(arrays['planes'])}")
     return arrays
 
 
-def read_sweeps(sweeps: Sequence[Path], cameras: int) -> Swept:
+def read_sweeps(sweeps: Sequence[Path], cameras: int) -> PlaneSweep:
     """The sweeps of ``cameras``; raises UserError unless there is one of each, all of one catalogue."""
-    swept = [read(path, _SWEEP, _checked, sizes={"V": cameras}) for path in sweeps]
+    swept = [read(path, _SWEEP, _check_votes, sizes={"V": cameras}) for path in sweeps]
     if len(swept) != cameras or not all(np.array_equal(s["planes"], swept[0]["planes"]) for s in swept):
         raise UserError(
             f"{', '.join(map(str, sweeps))} are not one sweep for each of {cameras} cameras, or of different settings; "
@@ -100,4 +100,4 @@ def read_sweeps(sweeps: Sequence[Path], cameras: int) -> Swept:
         )
     first = swept[0]
     votes = Votes(first["planes"], [s["chosen"].astype(int) for s in swept], [s["confident"] for s in swept])
-    return Swept(votes, first["gains"], float(first["floor_m"]), float(first["yaw_rad"]))
+    return PlaneSweep(votes, first["gains"], float(first["floor_m"]), float(first["yaw_rad"]))

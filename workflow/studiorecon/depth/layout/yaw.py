@@ -21,14 +21,14 @@ _SPEAKS = 0.7
 _COARSE_RAD, _FINE_RAD = np.radians(7.5), np.radians(1.5)
 
 
-def matched_yaw(pictures: Sequence[Picture], floor_m: float, reach_m: float, near_m: float, far_m: float) -> float:
+def match_yaw(pictures: Sequence[Picture], floor_m: float, reach_m: float, near_m: float, far_m: float) -> float:
     """Yaw in [0, pi/2) at which walls along it and across it explain most pixels above the floor; 0 when none match.
 
     First every 7.5°, then every 1.5° around the best. Costs some seconds; ``wall_yaw`` needs none when there are lines.
     """
     if sum(bool(picture.known.any()) for picture in pictures) < 2:
         return 0.0
-    small = [_smaller(picture) for picture in pictures]
+    small = [_shrink(picture) for picture in pictures]
     floor = np.array([0.0, 0.0, 1.0, floor_m])
     floor_scores = [_best_score(small, i, floor, near_m, far_m) for i in range(len(small))]
     explained: dict[int, list[np.ndarray]] = {}
@@ -39,7 +39,7 @@ def matched_yaw(pictures: Sequence[Picture], floor_m: float, reach_m: float, nea
         for turn in (0.0, np.pi / 2):
             key = round(np.degrees((yaw_rad + turn) % np.pi) * 2)
             if key not in explained:
-                explained[key] = _explained(small, np.radians(key / 2), reach_m, near_m, far_m)
+                explained[key] = _best_agreement(small, np.radians(key / 2), reach_m, near_m, far_m)
             walls.append(explained[key])
         for one, across, below in zip(*walls, floor_scores):
             # Only pixels that the floor does not explain as well.
@@ -54,7 +54,7 @@ def matched_yaw(pictures: Sequence[Picture], floor_m: float, reach_m: float, nea
     return float(best % (np.pi / 2)) if support(best) > 0 else 0.0
 
 
-def _smaller(picture: Picture) -> Picture:
+def _shrink(picture: Picture) -> Picture:
     width, height = picture.camera.wh
     scale = min(1.0, _WIDTH / width)
     wh = (max(round(width * scale), 8), max(round(height * scale), 8))
@@ -70,7 +70,7 @@ def _best_score(pictures: Sequence[Picture], index: int, plane: np.ndarray, near
     return np.maximum(np.max(scores, axis=0), -1) if scores else np.full(pictures[index].known.shape, -1, np.float32)
 
 
-def _explained(
+def _best_agreement(
     pictures: Sequence[Picture], yaw_rad: float, reach_m: float, near_m: float, far_m: float
 ) -> list[np.ndarray]:
     """Per picture (H, W) best agreement through any upright plane with this normal outside the cameras."""

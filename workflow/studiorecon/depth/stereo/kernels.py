@@ -107,8 +107,8 @@ def is_hidden(depth, o, flat, z):
 
 
 @njit(cache=True, parallel=True)
-def explain_all(lens, pose, centre, rgb, known, depth, surface, pair, at, z, cost, judges, half, mean_weight):
-    """Fill ``pair``, ``at``, ``z``, ``cost`` and ``judges`` (see ``photo_cost.PhotoCostVolume``) for the surfaces."""
+def explain_all(lens, pose, centre, rgb, known, depth, surface, pair, at, z, cost, judge_count, half, mean_weight):
+    """Fill the costs of the surfaces: ``pair``, ``at``, ``z``, ``cost``, ``judge_count`` (``PhotoCostVolume``)."""
     views, height, width = known.shape
     for job in prange(views * views):
         v, o = job // views, job % views
@@ -138,19 +138,19 @@ def explain_all(lens, pose, centre, rgb, known, depth, surface, pair, at, z, cos
                     ):
                         total += pair[v, o, y, x]
                         count += 1
-                judges[v, y, x] = count
+                judge_count[v, y, x] = count
                 cost[v, y, x] = (total / count if count else UNSEEN) if known[v, y, x] else 0
 
 
 @njit(cache=True, parallel=True)
 def invert_visibility(known, depth, pair, at, z):
-    """The pixels that each pixel judges: (V, H W + 1) start indices, and (V, V H W) flat indices in (V, H, W).
+    """Pixels whose cost depends on each pixel: (V, H W + 1) start indices, and (V, V H W) flat indices in (V, H, W).
 
     The inverse of ``at``, for pixels that are compared and not hidden.
     """
     views, height, width = known.shape
     size = height * width
-    begin, judged = np.zeros((views, size + 1), np.int64), np.empty((views, views * size), np.int32)
+    begin, dependents = np.zeros((views, size + 1), np.int64), np.empty((views, views * size), np.int32)
     for o in prange(views):
         for fill in range(2):
             for v in range(views):
@@ -162,7 +162,7 @@ def invert_visibility(known, depth, pair, at, z):
                         if is_hidden(depth, o, flat, z[v, o, y, x]):
                             continue
                         if fill:
-                            judged[o, begin[o, flat]] = (v * height + y) * width + x
+                            dependents[o, begin[o, flat]] = (v * height + y) * width + x
                             begin[o, flat] += 1
                         else:
                             begin[o, flat + 1] += 1
@@ -174,7 +174,7 @@ def invert_visibility(known, depth, pair, at, z):
             else:
                 for flat in range(size):
                     begin[o, flat + 1] += begin[o, flat]
-    return begin, judged
+    return begin, dependents
 
 
 @njit(cache=True)

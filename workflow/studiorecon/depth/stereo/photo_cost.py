@@ -35,16 +35,16 @@ _MIN_BETTER = 0.05
 
 @dataclass(frozen=True)
 class Surface:
-    """Any surface in one picture: depth (0 = none), its cost by photos, and where another camera judged it."""
+    """Any surface in one picture: depth (0 = none), its cost by photos, and where another camera compares it."""
 
     depth_m: Float[np.ndarray, "H W"]
     cost: Float[np.ndarray, "H W"]
-    judged: Bool[np.ndarray, "H W"]
+    compared: Bool[np.ndarray, "H W"]
 
     @property
     def confirmed(self) -> Bool[np.ndarray, "H W"]:
         """Pixels that another camera confirms."""
-        return self.judged & (self.cost < MAX_CONFIRMED_COST)
+        return self.compared & (self.cost < MAX_CONFIRMED_COST)
 
 
 @dataclass
@@ -57,13 +57,14 @@ class PhotoCostVolume:
         rgb, known: the photos. depth: z-depth of the explaining surface, metres. surface: its number.
         pair: cost of the surface in another camera, -1 where they cannot be compared.
         at, z: (V, V, H, W) flat pixel in the other camera, and depth there.
-        begin, judged: (V, H W + 1) and (V, V H W): the pixels that each pixel judges (``kernels.invert_visibility``).
+        begin, dependents: (V, H W + 1) and (V, V H W): the pixels whose cost depends on each pixel
+            (``kernels.invert_visibility``).
         cost: cost of every pixel; 0 where the photo is not known.
         view_count: number of other cameras that see its surface.
         half, mean_weight: half a window in pixels, weight of a difference of means.
         floor_m: height of the floor.
         empty_room: depth and surface of the room box alone.
-        odds: ``self_dissimilarity.foreground_log_odds`` of the room box alone.
+        foreground_log_odds: ``self_dissimilarity.foreground_log_odds`` of the room box alone.
         primitives: those added so far.
     """
 
@@ -78,14 +79,14 @@ class PhotoCostVolume:
     at: Integer[np.ndarray, "V V H W"]
     z: Float[np.ndarray, "V V H W"]
     begin: Integer[np.ndarray, "V S"]
-    judged: Integer[np.ndarray, "V T"]
+    dependents: Integer[np.ndarray, "V T"]
     cost: Float[np.ndarray, "V H W"]
     view_count: Integer[np.ndarray, "V H W"]
     half: int
     mean_weight: float
     floor_m: float
     empty_room: tuple[Float[np.ndarray, "V H W"], Integer[np.ndarray, "V H W"]]
-    odds: Float[np.ndarray, "V H W"]
+    foreground_log_odds: Float[np.ndarray, "V H W"]
     primitives: Float[np.ndarray, "K 7"]
 
     @staticmethod
@@ -135,7 +136,7 @@ class PhotoCostVolume:
         )
         room.replace_all(room.primitives)
         if looks:
-            for own, unlike in zip(room.odds, foreground_log_odds(pictures, room_box)):
+            for own, unlike in zip(room.foreground_log_odds, foreground_log_odds(pictures, room_box)):
                 own[: unlike.shape[0], : unlike.shape[1]] = unlike
         return room
 
@@ -147,7 +148,7 @@ class PhotoCostVolume:
         return Surface(depth_m, cost, view_count > 0), number
 
     def of_depth(self, view: int, depth_m: Float[np.ndarray, "h w"]) -> Surface:
-        """Any depth map of one view, judged by the others where their own surfaces do not hide it."""
+        """Any depth map of one view, compared by the others where their own surfaces do not hide it."""
         rows, columns = depth_m.shape
         depth = self.depth.copy()
         depth[view] = 0
@@ -176,7 +177,7 @@ class PhotoCostVolume:
 
     def _gains_and_costs(self, primitives: Float[np.ndarray, "N 7"], looks: bool) -> Float[np.ndarray, "N 3"]:
         """Gains, their part on pixels that show the primitives, and those pixels' cost before."""
-        odds = self.odds if looks else np.zeros_like(self.odds)
+        odds = self.foreground_log_odds if looks else np.zeros_like(self.foreground_log_odds)
         explained = (
             self.depth,
             self.surface,
@@ -184,7 +185,7 @@ class PhotoCostVolume:
             self.at,
             self.z,
             self.begin,
-            self.judged,
+            self.dependents,
             self.cost,
             odds,
         )
@@ -215,7 +216,7 @@ class PhotoCostVolume:
             self.half,
             self.mean_weight,
         )
-        self.begin, self.judged = invert_visibility(self.known, self.depth, self.pair, self.at, self.z)
+        self.begin, self.dependents = invert_visibility(self.known, self.depth, self.pair, self.at, self.z)
 
     def add(self, primitive: Float[np.ndarray, " 7"]) -> None:
         """Add one primitive."""

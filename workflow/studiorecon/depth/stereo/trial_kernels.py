@@ -35,7 +35,7 @@ def trial_gains(photos, explained, half, mean_weight, floor_m, primitives):
     """(N, 3) decrease of the cost of all pixels with each of N primitives (N, 7) added alone, and two parts of it.
 
     These are, for pixels that show it and that another camera judges, the decrease and the cost before. ``photos``:
-    lens, pose, centre, rgb, known; ``explained``: depth, surface, pair, at, z, begin, judged, cost, odds
+    lens, pose, centre, rgb, known; ``explained``: depth, surface, pair, at, z, begin, dependents, cost, odds
     (``photo_cost.PhotoCostVolume``); ``floor_m``: height of the floor.
     """
     found = np.zeros((len(primitives), 3))
@@ -75,7 +75,7 @@ def _is_unoccluded(number, known, surface, odds, top, bottom, left, right):
 @njit(cache=True)
 def _gain(photos, explained, half, mean_weight, floor_m, primitive):
     lens, pose, centre, rgb, known = photos
-    depth, surface, pair, at, z, begin, judged, cost, odds = explained
+    depth, surface, pair, at, z, begin, dependents, cost, odds = explained
     views, height, width = known.shape
     trial = np.zeros((views, height, width), np.float32)
     number = np.zeros((views, height, width), np.int8)
@@ -100,7 +100,7 @@ def _gain(photos, explained, half, mean_weight, floor_m, primitive):
                 if number[o, y, x] > 0:
                     flat_here = y * width + x
                     for entry in range(begin[o, flat_here], begin[o, flat_here + 1]):
-                        behind.flat[judged[o, entry]] = True
+                        behind.flat[dependents[o, entry]] = True
     gain, shown, before_cost, unlike, clear = 0.0, 0.0, 0.0, 0.0, 0.0
     for v in range(views):
         before_view = unlike

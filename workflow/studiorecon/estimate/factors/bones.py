@@ -26,24 +26,24 @@ class ConstantBones(Factor):
     """Distances of two points from a length that is unknown: columns of two points and a log length.
 
     Attributes:
-        alike: number of bones that share this one's error, because the body is in the same place and posture.
+        repeats: number of bones that share this one's error, because the body is in the same place and posture.
     """
 
-    alike: Num[np.ndarray, " M"]
+    repeats: Num[np.ndarray, " M"]
 
     def residuals(self, at: Num[np.ndarray, "M 7"], unknowns: Unknowns) -> Num[np.ndarray, "M 1"]:
         length = np.sqrt(((at[:, :3] - at[:, 3:6]) ** 2).sum(1) + 1e-12)
-        return ((length - np.exp(at[:, 6])) / BONE_M / np.sqrt(self.alike))[:, None]
+        return ((length - np.exp(at[:, 6])) / BONE_M / np.sqrt(self.repeats))[:, None]
 
 
 @dataclass(frozen=True)
-class UsualLengths(Factor):
+class MeanLengths(Factor):
     """Differences of log lengths from ``usual``, the (M,) logs of a mean adult's."""
 
-    usual: Num[np.ndarray, " M"]
+    log_lengths: Num[np.ndarray, " M"]
 
     def residuals(self, at: Num[np.ndarray, "M 1"], unknowns: Unknowns) -> Num[np.ndarray, "M 1"]:
-        return (at - self.usual[:, None]) / LENGTH_SHARE
+        return (at - self.log_lengths[:, None]) / LENGTH_SHARE
 
 
 def bone_factors(
@@ -51,12 +51,12 @@ def bone_factors(
     first: Integer[np.ndarray, " M"],
     second: Integer[np.ndarray, " M"],
     kind: Integer[np.ndarray, " M"],
-    alike: Num[np.ndarray, " M"],
+    repeats: Num[np.ndarray, " M"],
     usual_m: Num[np.ndarray, " B"],
 ) -> list[Factor]:
     """The factors of bones between points ``first`` and ``second``, of the unknown length ``kind`` in the group
-    "bones", of B lengths that are ``usual_m``; ``alike`` as for ``ConstantBones``."""
+    "bones", of B lengths that are ``usual_m``; ``repeats`` as for ``ConstantBones``."""
     of_ends = [unknowns.columns("points", ends, range(3), 3) for ends in (first, second)]
     columns = np.concatenate([*of_ends, unknowns.columns("bones", kind, [0], 1)], axis=1)
     lengths = unknowns.columns("bones", np.arange(len(usual_m)), [0], 1)
-    return [ConstantBones(columns, _FREEDOM, alike), UsualLengths(lengths, np.inf, np.log(usual_m))]
+    return [ConstantBones(columns, _FREEDOM, repeats), MeanLengths(lengths, np.inf, np.log(usual_m))]

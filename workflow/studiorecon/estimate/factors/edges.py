@@ -71,8 +71,8 @@ def room_edges(
     error."""
     own = unknowns.columns("cameras", view, _OF_CAMERA, PER_CAMERA)
     room = np.repeat(unknowns.columns("room", 0, range(3), 3), len(view), axis=0)
-    alike = np.bincount(view * 3 + axis)[view * 3 + axis]
-    sigma_rad = np.radians(np.sqrt(EDGE_DEG**2 + alike * SQUARE_DEG**2))
+    repeats = np.bincount(view * 3 + axis)[view * 3 + axis]
+    sigma_rad = np.radians(np.sqrt(EDGE_DEG**2 + repeats * SQUARE_DEG**2))
     columns = np.concatenate([own, room], axis=1)
     directions = world_from_room.T[axis]
     return RoomEdges(columns, _FREEDOM, view, ends_px.reshape(-1, 2, 2), directions, aspect[view], sigma_rad)

@@ -26,22 +26,22 @@ class FeetOnFloor(Factor):
 
     Attributes:
         axes: rows: two directions along the floor at first, and its normal.
-        alike: number of feet in the same place and posture.
+        repeats: number of feet in the same place and posture.
     """
 
     axes: Num[np.ndarray, "3 3"]
-    alike: Num[np.ndarray, " M"]
+    repeats: Num[np.ndarray, " M"]
 
     def residuals(self, at: Num[np.ndarray, "M 6"], unknowns: Unknowns) -> Num[np.ndarray, "M 1"]:
         along = at[:, :3] @ self.axes.T
         height = along[:, 2] - at[:, 3] * along[:, 0] - at[:, 4] * along[:, 1] - at[:, 5]
-        return (height / STEP_M / np.sqrt(self.alike))[:, None]
+        return (height / STEP_M / np.sqrt(self.repeats))[:, None]
 
 
 def feet_on_floor(
-    unknowns: Unknowns, ankle: Integer[np.ndarray, " M"], axes: Num[np.ndarray, "3 3"], alike: Num[np.ndarray, " M"]
+    unknowns: Unknowns, ankle: Integer[np.ndarray, " M"], axes: Num[np.ndarray, "3 3"], repeats: Num[np.ndarray, " M"]
 ) -> FeetOnFloor:
     """The factor of the lower ankles, points ``ankle``, on the plane of the group "floor"."""
     points = unknowns.columns("points", ankle, range(3), 3)
     floor = np.repeat(unknowns.columns("floor", 0, range(3), 3), len(points), axis=0)
-    return FeetOnFloor(np.concatenate([points, floor], axis=1), _FREEDOM, axes, alike)
+    return FeetOnFloor(np.concatenate([points, floor], axis=1), _FREEDOM, axes, repeats)

@@ -23,7 +23,7 @@ RADIAL_SIGMA = 0.15
 PRINCIPAL_SHARE = 0.006
 # Two cameras of one make at one setting differ by this in log focal length and in k1; a heavy tail releases a camera
 # that is zoomed otherwise, or of another make with pictures of the same size.
-ALIKE_FOCAL, ALIKE_RADIAL = 0.01, 0.02
+SIMILAR_FOCAL, SIMILAR_RADIAL = 0.01, 0.02
 _FREEDOM = 1.0
 _LENS = [LOG_FOCAL, RADIAL, PRINCIPAL.start, PRINCIPAL.start + 1]
 
@@ -41,7 +41,7 @@ class KnownLens(Factor):
 
 
 @dataclass(frozen=True)
-class AlikeLenses(Factor):
+class SimilarLenses(Factor):
     """Differences of one number between pairs of cameras.
 
     ``sigma`` (M,) is that of a camera about the mean of its make, times the root of the number of cameras: all pairs
@@ -60,14 +60,14 @@ def known_lenses(unknowns: Unknowns, expected: Num[np.ndarray, "V 4"], sigma: Nu
     return KnownLens(unknowns.columns("cameras", views, _LENS, PER_CAMERA), np.inf, expected, sigma)
 
 
-def alike_lenses(unknowns: Unknowns, makes: Sequence[object]) -> list[Factor]:
+def similar_lenses(unknowns: Unknowns, makes: Sequence[object]) -> list[Factor]:
     """The factors of cameras whose entries in ``makes`` are equal."""
     pairs = np.array([p for p in combinations(range(len(makes)), 2) if makes[p[0]] == makes[p[1]]]).reshape(-1, 2)
     if not len(pairs):
         return []
     others = np.bincount(pairs.ravel(), minlength=len(makes))
     found: list[Factor] = []
-    for number, sigma in ((LOG_FOCAL, ALIKE_FOCAL), (RADIAL, ALIKE_RADIAL)):
+    for number, sigma in ((LOG_FOCAL, SIMILAR_FOCAL), (RADIAL, SIMILAR_RADIAL)):
         columns = np.stack([unknowns.columns("cameras", v, [number], PER_CAMERA)[:, 0] for v in pairs.T], axis=1)
-        found.append(AlikeLenses(columns, _FREEDOM, sigma * np.sqrt(others[pairs[:, 0]] + 1)))
+        found.append(SimilarLenses(columns, _FREEDOM, sigma * np.sqrt(others[pairs[:, 0]] + 1)))
     return found

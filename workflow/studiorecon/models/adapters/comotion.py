@@ -113,8 +113,8 @@ def postprocess(
         size = np.linalg.norm(joints.max(axis=1) - joints.min(axis=1), axis=-1)
         apart = np.median(np.linalg.norm(joints[:, None] - detected_px[None], axis=-1), axis=-1)
         nearest = apart.argmin(axis=1)
-        lies_on = apart[np.arange(len(joints)), nearest] <= _SAME * np.maximum(size, 1.0)
-        sure = np.where(lies_on, np.maximum(sigmoid(logits)[nearest], UNSEEN), UNSEEN)
+        is_same = apart[np.arange(len(joints)), nearest] <= _SAME * np.maximum(size, 1.0)
+        sure = np.where(is_same, np.maximum(sigmoid(logits)[nearest], UNSEEN), UNSEEN)
     return Bodies(
         tracks=own["id"].astype(np.int64) - 1,
         shapes=own["betas"].astype(np.float64),

@@ -88,7 +88,7 @@ def _from_hub(file: WeightFile, target: Path) -> str:
         place = place.parent
     if file.how == "snapshot":
         hub.snapshot_download(file.repository, revision=file.revision, local_dir=str(place))
-        _published(hub, file, place)
+        _verify_published(hub, file, place)
     if str(target).endswith(str(inner)):
         hub.hf_hub_download(file.repository, file.remote, revision=file.revision, local_dir=str(place))
     else:
@@ -104,7 +104,7 @@ def _from_hub(file: WeightFile, target: Path) -> str:
     return stated if len(stated) == 64 else ""
 
 
-def _published(hub: Any, file: WeightFile, place: Path) -> None:
+def _verify_published(hub: Any, file: WeightFile, place: Path) -> None:
     """Raises UserError when a small file of a whole repository, possibly code, differs from that revision's."""
     about = hub.HfApi().model_info(file.repository, revision=file.revision, files_metadata=True)
     for entry in about.siblings:

@@ -16,7 +16,7 @@ import numpy as np
 from studiorecon.footage.video import read_frames
 from studiorecon.people.association.group import Group
 from studiorecon.people.association.terms import Ratio, Term
-from studiorecon.people.pictures.change import LIMB_ENDS, PICTURES, motion_support, sampled_frames, steps_m
+from studiorecon.people.pictures.change import LIMB_ENDS, PICTURES, motion_support, sample_frames, steps_m
 from studiorecon.people.pictures.coverage import CameraEvidence, mask_coverage, plate_difference_share
 from studiorecon.progress import progress
 from studiorecon.scene.camera import Camera
@@ -86,7 +86,7 @@ def _motion(
 
     A camera in which nobody's motion is confirmed contradicts nobody: its film may be dark, or out of step.
     """
-    picked = [sampled_frames(group.frames, PICTURES) for group in groups]
+    picked = [sample_frames(group.frames, PICTURES) for group in groups]
     points_m = np.stack([group.points_m for group in groups])
     least = [steps_m(group.points_m, fps) for group in groups]
     wanted = set(np.concatenate(picked).tolist())

@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING
 import cv2
 import numpy as np
 
-from studiorecon.arrays import evenly_spread
+from studiorecon.arrays import spread_indices
 from studiorecon.images.channels import channel_max
 from studiorecon.keypoints.correspondence import STABLE_KEYPOINTS
 from studiorecon.scene.camera import Camera
@@ -74,10 +74,10 @@ def _body_points() -> tuple[np.ndarray, np.ndarray]:
 _SHARES, _REACHES_M = _body_points()
 
 
-def sampled_frames(frames: Integer[np.ndarray, " N"], wanted: int) -> Integer[np.ndarray, " M"]:
+def sample_frames(frames: Integer[np.ndarray, " N"], wanted: int) -> Integer[np.ndarray, " M"]:
     """At most ``wanted`` of the distinct ``frames``, evenly spread."""
     distinct = np.unique(frames)
-    return distinct[evenly_spread(len(distinct), wanted)] if len(distinct) else distinct
+    return distinct[spread_indices(len(distinct), wanted)] if len(distinct) else distinct
 
 
 def steps_m(points_m: Float[np.ndarray, "T K 3"], fps: float) -> Float[np.ndarray, " K"]:
@@ -129,7 +129,7 @@ def motion_support(
             for t in (a, b):
                 uncovered &= _outside(places, parts[rest, t], _CLOTHED * metre_px[rest, t])
             radius = max(1, round(_PLACE_M * float(metre_px[who, here])))
-            counts[np.flatnonzero(moved)[uncovered]] += changed_at(apart, places[uncovered], radius, threshold)
+            counts[np.flatnonzero(moved)[uncovered]] += changes_at(apart, places[uncovered], radius, threshold)
     return counts
 
 
@@ -158,7 +158,7 @@ def count_changed_places(
     counts = np.zeros((len(points_m), 2), dtype=int)
     if there.any():
         radius = max(1, round(_PLACE_M * float(camera.intrinsics[0, 0] / np.median(depth[there]))))
-        counts[there] = changed_at(apart, pixels[there], radius, change_threshold(apart))
+        counts[there] = changes_at(apart, pixels[there], radius, change_threshold(apart))
     return counts
 
 
@@ -181,7 +181,7 @@ def _outside(places: np.ndarray, bodies: np.ndarray, metre_px: np.ndarray) -> np
     return np.isfinite(places).all(-1) & ~(apart <= _REACHES_M * metre_px[:, None]).any((1, 2))
 
 
-def changed_at(
+def changes_at(
     apart: Float[np.ndarray, "H W"], places: Num[np.ndarray, "N 2"], radius: int, threshold: float
 ) -> Num[np.ndarray, "N 2"]:
     """Whether ``apart`` exceeds ``threshold`` within ``radius`` pixels of each position, and whether it is known there.

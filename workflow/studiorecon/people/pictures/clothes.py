@@ -14,7 +14,7 @@ from studiorecon.footage.video import read_frames
 from studiorecon.keypoints.correspondence import STABLE_KEYPOINTS
 from studiorecon.people.association.gaps import Clothes
 from studiorecon.people.association.group import Group
-from studiorecon.people.pictures.change import PICTURES, sampled_frames
+from studiorecon.people.pictures.change import PICTURES, sample_frames
 from studiorecon.scene.camera import Camera
 
 if TYPE_CHECKING:
@@ -45,7 +45,7 @@ def compare_clothes(cameras: Sequence[Camera], videos: Sequence[Path]) -> Clothe
 
 def _colours(group: Group, view: int, camera: Camera, video: Path) -> Float[np.ndarray, "P 3"]:
     """Median CIELAB of each part in one camera; NaN where it is not seen."""
-    chosen = sampled_frames(np.flatnonzero(group.seen[view]), PICTURES).tolist()
+    chosen = sample_frames(np.flatnonzero(group.seen[view]), PICTURES).tolist()
     taken: list[list[np.ndarray]] = [[] for _ in _PARTS]
     for t, picture in enumerate(read_frames(video, 0, max(chosen, default=-1) + 1)):
         if t not in chosen:

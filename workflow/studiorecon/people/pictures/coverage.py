@@ -10,13 +10,13 @@ from pathlib import Path
 
 import numpy as np
 
-from studiorecon.arrays import evenly_spread
+from studiorecon.arrays import spread_indices
 from studiorecon.footage.stills import read_plate
 from studiorecon.footage.video import read_frames
 from studiorecon.geometry.lens import video_from_working
 from studiorecon.images.channels import channel_max
 from studiorecon.people.association.group import Group
-from studiorecon.people.pictures.change import PICTURES, count_changed_places, normalise_picture, sampled_frames
+from studiorecon.people.pictures.change import PICTURES, count_changed_places, normalise_picture, sample_frames
 from studiorecon.scene.camera import Camera, Lens
 from studiorecon.scene.capture import Footage
 from studiorecon.scene.people import Detections
@@ -42,7 +42,7 @@ class CameraEvidence:
     plate: Path | None = None
 
     @cached_property
-    def found(self) -> RawDetections | None:
+    def raw_detections(self) -> RawDetections | None:
         """The detector's file with its masks, read on first use: hundreds of megabytes for a long take."""
         return read_raw_detections(self.masks, masks=True) if self.masks else None
 
@@ -51,27 +51,27 @@ def mask_coverage(
     group: Group, view: int, found: Detections, camera: Camera, witness: CameraEvidence
 ) -> tuple[float, float]:
     """(share of positions under the mask, median presence); NaN where the network did not detect them."""
-    if witness.found is None or found.row is None:
+    if witness.raw_detections is None or found.row is None:
         return float("nan"), float("nan")
     tracks = [track for v, track in group.members if v == view]
     mine = np.flatnonzero(np.isin(found.track, tracks) & (found.row >= 0) & group.seen[view, found.frame])
     if not len(mine):
         return float("nan"), float("nan")
     inside: list[np.ndarray] = []
-    for d in mine[evenly_spread(len(mine), PICTURES)]:
+    for d in mine[spread_indices(len(mine), PICTURES)]:
         row = int(found.row[d])
         pixels, depth = camera.project(group.points_m[found.frame[d]])
         known = np.isfinite(pixels).all(-1) & (depth > 0)
         at = video_from_working(
             pixels[known], witness.lens, witness.footage.source_wh, np.array(witness.footage.intrinsics)
         )
-        affine, mask = witness.found.mask_from_picture[row], witness.found.mask[row]
+        affine, mask = witness.raw_detections.mask_from_picture[row], witness.raw_detections.mask[row]
         columns, rows = np.floor(at @ affine[:, :2].T + affine[:, 2]).astype(int).T
         there = (columns >= 0) & (rows >= 0) & (columns < mask.shape[1]) & (rows < mask.shape[0])
         inside.append(np.where(there, mask[np.where(there, rows, 0), np.where(there, columns, 0)] > 127, False))
     whole = np.concatenate(inside)
     share = float(whole.mean()) if len(whole) else float("nan")
-    return share, float(np.median(witness.found.presence[found.row[mine]]))
+    return share, float(np.median(witness.raw_detections.presence[found.row[mine]]))
 
 
 def plate_difference_share(group: Group, camera: Camera, video: Path, witness: CameraEvidence) -> float:
@@ -81,7 +81,7 @@ def plate_difference_share(group: Group, camera: Camera, video: Path, witness: C
         return float("nan")
     plate, measured = read_plate(witness.plate)
     empty = normalise_picture(np.rint(255 * plate).astype(np.uint8))
-    chosen = set(sampled_frames(group.frames, PICTURES).tolist())
+    chosen = set(sample_frames(group.frames, PICTURES).tolist())
     counts = np.zeros(2, dtype=int)
     for t, picture in enumerate(read_frames(video, 0, max(chosen, default=-1) + 1)):
         if t in chosen:

@@ -50,13 +50,13 @@ def cameras_in(place: Path) -> dict[str, Path]:
 
 def read_folder_frames(source: Path) -> Iterator[Integer[np.ndarray, "H W 3"]]:
     """Frames of a video or a folder of pictures, in name order."""
-    for frame in _stored(source):
+    for frame in _read_stored(source):
         yield np.repeat(frame[..., None], 3, axis=-1) if frame.ndim == 2 else frame
 
 
 def read_masks(source: Path) -> Iterator[Bool[np.ndarray, "H W"]]:
     """Masks: True where a mask video or picture is not black."""
-    for frame in _stored(source):
+    for frame in _read_stored(source):
         yield frame > 0 if frame.ndim == 2 else (frame[..., 0] | frame[..., 1] | frame[..., 2]) > 0
 
 
@@ -64,19 +64,19 @@ def _lossless(name: str, versions: Sequence[Path]) -> Path:
     """The only lossless one of several versions of one film; raises UserError when there are none or several."""
     chosen = [path for path in versions if path.is_dir() or is_lossless(path)]
     if len(chosen) == 1:
-        say(f"{name}: the lossless {chosen[0].name} is scored; {_listed(set(versions) - set(chosen))} is not read")
+        say(f"{name}: the lossless {chosen[0].name} is scored; {_name_list(set(versions) - set(chosen))} is not read")
         return chosen[0]
     raise UserError(
-        f"camera {name} of {versions[0].parent} has several versions ({_listed(versions)}), of which {len(chosen)} "
+        f"camera {name} of {versions[0].parent} has several versions ({_name_list(versions)}), of which {len(chosen)} "
         f"are lossless; give one film, such as {versions[0]}, instead of the folder"
     )
 
 
-def _listed(paths: Iterable[Path]) -> str:
+def _name_list(paths: Iterable[Path]) -> str:
     return " and ".join(sorted(path.name for path in paths))
 
 
-def _stored(source: Path) -> Iterator[np.ndarray]:
+def _read_stored(source: Path) -> Iterator[np.ndarray]:
     if source.is_file():
         yield from read_frames(source)
         return

@@ -50,7 +50,7 @@ def identity_scores(
     given: Integer[np.ndarray, " D"],
 ) -> IdentityScores:
     """All scores of detections; raises ValueError, naming the shapes, when the four arrays differ in shape."""
-    frame, view, truth, given = _checked(frame, view, truth, given)
+    frame, view, truth, given = _check_rows(frame, view, truth, given)
     views = {int(v): idf1(truth[view == v], given[view == v]) for v in np.unique(view)}
     return IdentityScores(
         accuracy=association_accuracy(frame, view, truth, given),
@@ -71,7 +71,7 @@ def association_accuracy(
     given: Integer[np.ndarray, " D"],
 ) -> float:
     """Pair recall (evaluation.md §1.2): people seen once in a frame do not count; NaN without a pair."""
-    frame, view, truth, given = _checked(frame, view, truth, given)
+    frame, view, truth, given = _check_rows(frame, view, truth, given)
     hits = [_same(given, i, j)[_same(truth, i, j)] for i, j in _pairs(frame, view)]
     return _mean(hits)
 
@@ -85,7 +85,7 @@ def association_precision(
     """Share of the pairs of one given identity that are truly one person, no false detection (§1.2); NaN without a
     pair.
     """
-    frame, view, truth, given = _checked(frame, view, truth, given)
+    frame, view, truth, given = _check_rows(frame, view, truth, given)
     hits = [_same(truth, i, j)[_same(given, i, j)] for i, j in _pairs(frame, view)]
     return _mean(hits)
 
@@ -118,7 +118,7 @@ def identity_switches(
     given: Integer[np.ndarray, " D"],
 ) -> int:
     """Number of changes of identity over views and true people, each from one identified detection to the next."""
-    frame, view, truth, given = _checked(frame, view, truth, given)
+    frame, view, truth, given = _check_rows(frame, view, truth, given)
     count = 0
     for v in np.unique(view):
         for person in np.unique(truth[truth >= 0]):
@@ -155,7 +155,7 @@ def _mean(hits: list[np.ndarray]) -> float:
     return float(flat.mean()) if len(flat) else float("nan")
 
 
-def _checked(*arrays: np.ndarray) -> tuple[np.ndarray, ...]:
+def _check_rows(*arrays: np.ndarray) -> tuple[np.ndarray, ...]:
     flat = tuple(np.asarray(a, dtype=int) for a in arrays)
     if len({a.shape for a in flat}) > 1 or flat[0].ndim != 1:
         raise ValueError(f"frame, view, truth and given must be (D,) each, not {', '.join(str(a.shape) for a in flat)}")

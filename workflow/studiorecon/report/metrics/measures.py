@@ -113,14 +113,14 @@ class Flicker:
         """
         grey = grey_levels(photo)
         values: dict[str, dict[str, float | None]] = {name: dict.fromkeys(TEMPORAL) for name in (*pictures, "photo")}
-        alike, measured = first_identical(pictures), dict[tuple[str, str], dict[str, float | None]]()
+        first_same, measured = first_identical(pictures), dict[tuple[str, str], dict[str, float | None]]()
         if self._grey is not None and min(grey.shape) >= _SMALLEST_FLOW_PX:
             backward = dis_flow(grey, self._grey, self._preset)
             valid = forward_backward_consistent(backward, dis_flow(self._grey, grey, self._preset))
             assert self._photo is not None
             values["photo"] = self._changed(photo, self._photo, backward, valid, regions)
             for name, picture in pictures.items():
-                pair = alike[name], self._alike[name]
+                pair = first_same[name], self._alike[name]
                 if pair not in measured:
                     found = self._changed(picture, self._pictures[name], backward, valid, regions)
                     if found["temporal_l1"] is not None:
@@ -129,7 +129,7 @@ class Flicker:
                         found["flicker_excess"] = found["temporal_l1"] - of_photo
                     measured[pair] = found
                 values[name] = dict(measured[pair])
-        self._grey, self._photo, self._alike = grey, photo, alike
+        self._grey, self._photo, self._alike = grey, photo, first_same
         self._pictures = {name: to_levels(picture) for name, picture in pictures.items()}
         return values
 
@@ -156,11 +156,11 @@ class Flicker:
 
 def first_identical(pictures: Mapping[str, Num[np.ndarray, "H W 3"]]) -> dict[str, str]:
     """name → the first name with an identical picture, so that pictures without enhancement are measured once."""
-    alike: dict[str, str] = {}
+    first_same: dict[str, str] = {}
     for name, picture in pictures.items():
-        same = (first for first in set(alike.values()) if _same(pictures[first], picture))
-        alike[name] = next(same, name)
-    return alike
+        same = (first for first in set(first_same.values()) if _same(pictures[first], picture))
+        first_same[name] = next(same, name)
+    return first_same
 
 
 def _same(one: np.ndarray, two: np.ndarray) -> bool:

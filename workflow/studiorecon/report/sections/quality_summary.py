@@ -20,9 +20,9 @@ def quality_summary(metrics: Mapping[str, Any]) -> str:
         shown = "".join(f"{s:.0%} of film {shot} shows measured surfaces. " for shot, s in shares.items())
         remedy = "name one under held_out in capture.yaml"
         return f"{shown}New views were not scored: no camera is held out ({remedy}){joints}."
-    alike = "" if ssim is None else f", SSIM {ssim:.2f}"
+    ssim_text = "" if ssim is None else f", SSIM {ssim:.2f}"
     limit, remedy = _limit(pictures)
-    return f"New views match the held-out cameras at {psnr:.1f} dB PSNR{alike}{joints}. {limit}; {remedy}."
+    return f"New views match the held-out cameras at {psnr:.1f} dB PSNR{ssim_text}{joints}. {limit}; {remedy}."
 
 
 def _limit(pictures: Mapping[str, Any]) -> tuple[str, str]:
@@ -32,8 +32,8 @@ def _limit(pictures: Mapping[str, Any]) -> tuple[str, str]:
         missed, known = (1 - share) * _error(unseen), share * _error(seen)
         if missed > known:
             part = f"{1 - share:.0%} of the room, {unseen:.1f} dB"
-            said = f"Surfaces that no training camera sees limit the quality ({part})"
-            return said, "another camera there helps most (studiorecon plan DIR says where)"
+            sentence = f"Surfaces that no training camera sees limit the quality ({part})"
+            return sentence, "another camera there helps most (studiorecon plan DIR says where)"
     people, room = _value(pictures, "psnr_people"), _value(pictures, "psnr_background")
     if people is not None and room is not None and people < room:
         return f"People limit the quality ({people:.1f} dB; the room {room:.1f} dB)", _PRESET

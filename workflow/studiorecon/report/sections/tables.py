@@ -179,7 +179,7 @@ def joint_errors_table(metrics: Mapping[str, Any]) -> str:
     return "".join(parts)
 
 
-def left_out_people(those: Sequence[Mapping[str, Any]]) -> str:
+def rejected_people_table(those: Sequence[Mapping[str, Any]]) -> str:
     """The short list of people that association left out, with reason and remedy; empty without any."""
     if not those:
         return ""
@@ -198,8 +198,8 @@ def left_out_people(those: Sequence[Mapping[str, Any]]) -> str:
         ]
         for one in those
     ]
-    header = ["who", "for", "seen by", "why not", "takes them in"]
-    return html.heading("Left out", lead) + html.table(header, rows, raw=(4,))
+    header = ["person", "seen for", "seen by", "reason", "lines to accept"]
+    return html.heading("People left out", lead) + html.table(header, rows, raw=(4,))
 
 
 def cameras_table(doctor: Any, sheet: str) -> str:
@@ -225,13 +225,13 @@ def _edges(edge: Any) -> str:
         return ""
     off = f"the rotation between {' and '.join(edge['cameras'])} by {edge['off_deg']:.1f}°"
     if edge["believed"]:
-        said = (
+        sentence = (
             f"contradicted {off}; after refinement by {edge['off_after_deg']:.1f}°, with an interval of "
             f"±{edge['between_deg']:.1f}° (95 %)"
         )
     else:
-        said = f"differ from {off}, {edge['off_sigmas']:.1f} of their standard deviations: no camera was refined"
-    return f"<p class=soft>{html.escape(f'The straight edges of the room {said}.')}</p>"
+        sentence = f"differ from {off}, {edge['off_sigmas']:.1f} of their standard deviations: no camera was refined"
+    return f"<p class=soft>{html.escape(f'The straight edges of the room {sentence}.')}</p>"
 
 
 def coverage_table(decided: Sequence[Mapping[str, Decision]]) -> str:

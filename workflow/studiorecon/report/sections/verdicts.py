@@ -28,7 +28,7 @@ def decisions_table(found: Sequence[Mapping[str, Decision]], spent: Mapping[str,
     for decision in merged.values():
         word = f'<span class="{decision.verdict}">{decision.verdict}{" (forced)" if decision.forced else ""}</span>'
         took = [spent.get("stages", {}).get(stage, {}).get("seconds") for stage in _STAGES.get(decision.effect, ())]
-        acts = (decision.obeyed_by or "only reported") + (
+        acts = (decision.used_by or "only reported") + (
             f" ({sum(t for t in took if t):.0f} s in this run)" if any(took) else ""
         )
         rows.append([decision.effect.replace("_", " "), word, gauge(decision), decision.reason, acts])

@@ -87,7 +87,7 @@ def grow(
     longest = np.exp(gaussians.log_scales[chosen].max(axis=1))
     split, cloned = chosen[longest > large_m], chosen[longest <= large_m]
     # One half of a split pair takes the old one's index, so that its descendants stay traceable; both are new to Adam.
-    halves = [_half(gaussians.take(split), rng) for _ in range(2)]
+    halves = [_split_halves(gaussians.take(split), rng) for _ in range(2)]
     index = np.concatenate([np.flatnonzero(kept), cloned, split])
     fresh = np.concatenate([np.isin(np.flatnonzero(kept), split), np.ones(len(cloned) + len(split), bool)])
     everyone = concatenate([gaussians, halves[0]])
@@ -97,7 +97,7 @@ def grow(
     return Growth(result, index, fresh, int((~kept).sum()))
 
 
-def _half(gaussians: Gaussians, rng: np.random.Generator) -> Gaussians:
+def _split_halves(gaussians: Gaussians, rng: np.random.Generator) -> Gaussians:
     """Smaller Gaussians drawn from inside the given ones."""
     offsets = rng.normal(size=gaussians.means_m.shape) * np.exp(gaussians.log_scales.astype(np.float64))
     means = gaussians.means_m + np.einsum("nij,nj->ni", from_quaternion(gaussians.quaternions), offsets)

@@ -134,6 +134,6 @@ def degree_at(settings: TrainingSettings, iteration: int) -> int:
     return settings.sh_degree if every == 0 else min(settings.sh_degree, iteration // every)
 
 
-def halved_at(settings: TrainingSettings, iteration: int) -> bool:
+def is_half_size(settings: TrainingSettings, iteration: int) -> bool:
     """Whether a step runs at half the image size for warm-up."""
     return iteration < settings.warmup_half_resolution * settings.iterations

@@ -86,7 +86,7 @@ def train_still(
         initial = replace(initial, log_scales=np.minimum(initial.log_scales, most))
     first, last = span or (0, settings.iterations)
     say(f"{label}: {initial.count} Gaussians on {len(targets)} images, iterations {first} to {last}")
-    subject = _on(device, initial, sound, settings, rng, extent_m, threads)
+    subject = _on_device(device, initial, sound, settings, rng, extent_m, threads)
     terms = active_terms(settings, network)
     psnr_db = train(subject, terms, (first, last), rng, label=label, checkpoint=checkpoint, previews=previews)
     back = np.argsort(subject.source, kind="stable")
@@ -99,7 +99,7 @@ def train_still(
     return TrainedGaussians(trained.take(kept), source[kept], psnr_db, refused, left_out, int(sum(masked)))
 
 
-def _on(
+def _on_device(
     device: str,
     initial: Gaussians,
     targets: Sequence[Target],

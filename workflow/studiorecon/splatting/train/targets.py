@@ -11,7 +11,7 @@ import cv2
 import numpy as np
 
 from studiorecon.scene.camera import Camera
-from studiorecon.splatting.train.schedule import TrainingSettings, halved_at
+from studiorecon.splatting.train.schedule import TrainingSettings, is_half_size
 
 if TYPE_CHECKING:
     from jaxtyping import Bool, Float
@@ -79,7 +79,7 @@ class TargetSizes:
 
     def at(self, settings: TrainingSettings, iteration: int, index: int) -> tuple[tuple[bool, int], Target]:
         """The target at a step's size, with its cache key."""
-        half = halved_at(settings, iteration)
+        half = is_half_size(settings, iteration)
         if half and index not in self._half:
             self._half[index] = self._whole[index].halved()
         return (half, index), self._half[index] if half else self._whole[index]

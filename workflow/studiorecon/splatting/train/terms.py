@@ -141,14 +141,14 @@ class L1AndSsim:
         used, wanted = view.weight > 0, view.wanted_rgb
         windowed = self._windowed.get(view.key)
         if windowed is None:
-            windowed = _windowed(wanted), _windowed(wanted * wanted)
+            windowed = _apply_window(wanted), _apply_window(wanted * wanted)
             if self._keeps(sum(part.nbytes for part in windowed)):
                 self._windowed[view.key] = windowed
         my, yy = windowed
         share = 1 / (3 * used.sum().clamp_min(1))
         x = torch.where(used, view.rgb.permute(2, 0, 1), wanted)
         error = x - wanted
-        mx, xx, xy = _windowed(x), _windowed(x * x), _windowed(x * wanted)
+        mx, xx, xy = _apply_window(x), _apply_window(x * x), _apply_window(x * wanted)
         c1, c2 = float(C1), float(C2)
         similarity = (2 * mx * my + c1) * (2 * (xy - mx * my) + c2)
         similarity = similarity / ((mx * mx + my * my + c1) * (xx + yy - mx * mx - my * my + c2))
@@ -156,7 +156,7 @@ class L1AndSsim:
         return (view.weight * (self.l1 * error.abs() + self.ssim * (1 - similarity))).sum() * share
 
 
-def _windowed(planes: torch.Tensor) -> torch.Tensor:
+def _apply_window(planes: torch.Tensor) -> torch.Tensor:
     """(3, H, W) under the 11×11 Gaussian window, zeros outside, differentiable."""
     return _window_on_device().apply(planes)
 

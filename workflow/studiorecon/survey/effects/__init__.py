@@ -64,5 +64,5 @@ def effects_table() -> str:
     rows = ["| effect | statistic | on | when on |", "|---|---|---|---|"]
     for effect in EFFECTS:
         limit = f"{'above' if effect.on_above else 'below'} {effect.threshold:g} {effect.unit}".strip()
-        rows.append(f"| `{effect.name}` | {effect.statistic} | {limit} | {effect.obeyed_by or 'only reported'} |")
+        rows.append(f"| `{effect.name}` | {effect.statistic} | {limit} | {effect.used_by or 'only reported'} |")
     return "\n".join(rows)

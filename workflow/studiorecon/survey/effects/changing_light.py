@@ -54,7 +54,7 @@ def _error(estimate: Estimate) -> float:
 def write(path: Path, decision: Decision, evidence: Evidence, recordings: Recordings) -> None:
     """Write every frame's brightness against its plate, for the cameras where it can be measured."""
     changes: dict[str, np.ndarray] = {}
-    if decision.called_for:
+    if decision.is_on:
         longest_px = evidence.sampling.longest_px
         for video, view, own in zip(recordings.videos, evidence.material.views, recordings.found):
             course = brightness_over_time(video, view.camera, recordings.frames, own, view, longest_px)
@@ -100,7 +100,7 @@ EFFECT = SurveyedEffect(
     statistic="largest log change of the room's brightness from the first picture",
     threshold=0.02,
     hidden_by=("moving_cameras",),
-    obeyed_by="masks.segment, humans.train, enhance.shot: frames are divided by their brightness; films have "
+    used_by="masks.segment, humans.train, enhance.shot: frames are divided by their brightness; films have "
     "constant light",
     measure=measure,
     artefact=Artefact("brightness.json", write),

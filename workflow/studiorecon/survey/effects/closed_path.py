@@ -35,6 +35,6 @@ EFFECT = SurveyedEffect(
     threshold=150.0,
     paper="U18",
     on_above=False,
-    obeyed_by="the plan: views in the widest gap too",
+    used_by="the plan: views in the widest gap too",
     measure=measure,
 )

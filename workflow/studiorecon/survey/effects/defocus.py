@@ -55,7 +55,7 @@ def measure(evidence: Evidence, threshold: float) -> Measurement:
     # Some camera always sees softer things than the others: its blur must exceed that usual spread.
     shown = SIGMA_OF_MAD * float(np.median(np.abs(blur[known] - usual))) if len(known) >= _MANY else 0.0
     spread = max(_APART * usual, shown)
-    extra = _beyond(blur[worst], error[worst], 2 * spread, usual)
+    extra = _excess_blur(blur[worst], error[worst], 2 * spread, usual)
     reason = (
         f"{views[worst].camera.name}'s sharpest edges are {blur[worst]:.1f} px wide (at {AT_WIDTH:.0f}), the median "
         f"camera's {usual:.1f}"
@@ -66,11 +66,11 @@ def measure(evidence: Evidence, threshold: float) -> Measurement:
     return Measurement(extra.value, extra.interval, reason, {"blur_px": detail})
 
 
-def _beyond(blur: float, error: float, of_what_it_sees: float, usual: float) -> Estimate:
-    """The blur that, added to ``usual``, gives ``blur``, with an interval; ``of_what_it_sees`` may be the scene's."""
+def _excess_blur(blur: float, error: float, scene_error: float, usual: float) -> Estimate:
+    """The blur that, added to ``usual``, gives ``blur``, with an interval; ``scene_error`` may be the scene's."""
     if not np.isfinite(error):
         return NOTHING
-    ends = (blur, blur - float(np.hypot(error, of_what_it_sees)), blur + error)
+    ends = (blur, blur - float(np.hypot(error, scene_error)), blur + error)
     value, low, high = (float(np.sqrt(max(b * abs(b) - usual**2, 0.0))) for b in ends)
     return Estimate(value, (low, high))
 

@@ -31,6 +31,6 @@ EFFECT = SurveyedEffect(
     statistic="area of the largest moving object, share of the picture",
     threshold=0.0005,
     hidden_by=("moving_cameras", "changing_light", "moving_shadows"),
-    obeyed_by="the plan: objects are tracked (objects.find), shown in films and excluded from people's masks",
+    used_by="the plan: objects are tracked (objects.find), shown in films and excluded from people's masks",
     measure=measure,
 )

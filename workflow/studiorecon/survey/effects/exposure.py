@@ -48,7 +48,7 @@ def write(path: Path, decision: Decision, evidence: Evidence, recordings: Record
 
 def active_gains(exposure: Decision) -> Mapping[str, Float[np.ndarray, "1 3"]]:
     """Camera → gains to divide pictures by; none unless the verdict is on, nor for cameras that cannot be compared."""
-    if not exposure.called_for:
+    if not exposure.is_on:
         return {}
     found = {
         name: own for name, own in exposure.detail.get("gains", {}).items() if name not in exposure.detail["alone"]
@@ -66,7 +66,7 @@ EFFECT = SurveyedEffect(
     statistic="largest relative difference of a camera's gain from the mean",
     threshold=0.01,
     hidden_by=("moving_cameras",),
-    obeyed_by="views, background.train, humans.train, enhance.shot: photos are divided by their camera's gain",
+    used_by="views, background.train, humans.train, enhance.shot: photos are divided by their camera's gain",
     measure=measure,
     artefact=Artefact("gains.json", write),
 )

@@ -38,8 +38,8 @@ EFFECT = SurveyedEffect(
     statistic="largest median shift of a camera's background from the first picture",
     unit="px",
     threshold=0.3,
-    voids="the cameras move, which voids this measurement: steady the footage, or leave the moving camera out with "
-    "train: [...]",
-    obeyed_by="survey.decide: effects that need static cameras become undetermined",
+    void_reason="the cameras move, which voids this measurement: steady the footage, or leave the moving camera out "
+    "with train: [...]",
+    used_by="survey.decide: effects that need static cameras become undetermined",
     measure=measure,
 )

@@ -36,6 +36,6 @@ EFFECT = SurveyedEffect(
     statistic="share of the floor within 1 m of feet that darkens by 5 % for five frames without changing hue",
     threshold=0.02,
     hidden_by=("moving_cameras", "changing_light"),
-    obeyed_by="the plan: estimates the light (render.light), and people cast shadows in films",
+    used_by="the plan: estimates the light (render.light), and people cast shadows in films",
     measure=measure,
 )

@@ -25,6 +25,6 @@ EFFECT = SurveyedEffect(
     statistic="people tracked by several cameras",
     threshold=0.5,
     tunable=False,
-    obeyed_by="the plan: without people no masks, bodies and human training",
+    used_by="the plan: without people no masks, bodies and human training",
     measure=measure,
 )

@@ -50,7 +50,7 @@ EFFECT = SurveyedEffect(
     statistic="share of covisible static points whose colour varies beyond the 99 % limit of noise",
     threshold=0.05,
     hidden_by=("moving_cameras", "exposure"),
-    obeyed_by="background.train: harmonics for the room, if limit_sh_to_views",
+    used_by="background.train: harmonics for the room, if limit_sh_to_views",
     measure=measure,
     artefact=Artefact("specularity.json", write),
 )

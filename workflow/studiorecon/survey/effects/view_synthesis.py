@@ -53,6 +53,6 @@ EFFECT = SurveyedEffect(
     statistic=f"share of two neighbours' stage seen neither from two sides nor from within {COVERED_DEG:.0f} degrees",
     threshold=0.1,
     paper="always",
-    obeyed_by="the plan: views between these neighbours",
+    used_by="the plan: views between these neighbours",
     measure=measure,
 )

@@ -17,7 +17,7 @@ if TYPE_CHECKING:
 
 
 @dataclass(frozen=True)
-class State:
+class FitState:
     local: Num[np.ndarray, "F 24 3 3"]
     trans: Num[np.ndarray, "F 3"]
     betas: Num[np.ndarray, " B"]
@@ -30,24 +30,24 @@ class State:
         """The unknowns shared by all frames: betas, log scale, corrections."""
         return np.concatenate([self.betas, [self.log_scale], self.corrections.reshape(-1)])
 
-    def at(self, frames: Bool[np.ndarray, " F"] | slice) -> State:
+    def select_frames(self, frames: Bool[np.ndarray, " F"] | slice) -> FitState:
         """The state of some frames."""
-        return State(self.local[frames], self.trans[frames], self.betas, self.log_scale, self.corrections)
+        return FitState(self.local[frames], self.trans[frames], self.betas, self.log_scale, self.corrections)
 
     def replace_frames(
-        self, frames: Bool[np.ndarray, " F"] | Integer[np.ndarray, " part"] | slice, part: State
-    ) -> State:
+        self, frames: Bool[np.ndarray, " F"] | Integer[np.ndarray, " part"] | slice, part: FitState
+    ) -> FitState:
         """The state with ``frames`` replaced by those of ``part``; shared unknowns stay."""
         local, trans = self.local.copy(), self.trans.copy()
         local[frames], trans[frames] = part.local, part.trans
-        return State(local, trans, self.betas, self.log_scale, self.corrections)
+        return FitState(local, trans, self.betas, self.log_scale, self.corrections)
 
-    def moved(
+    def add_step(
         self, local_turn: Num[np.ndarray, "F 24 3"], shift: Num[np.ndarray, "F 3"], shared: Num[np.ndarray, " S"]
-    ) -> State:
+    ) -> FitState:
         """The state after small turns about the joints' own axes, shifts, and a change of the shared unknowns."""
         count = len(self.betas)
-        return State(
+        return FitState(
             self.local @ rotations.exp(local_turn),
             self.trans + shift,
             self.betas + shared[:count],
@@ -57,7 +57,7 @@ class State:
 
 
 @dataclass(frozen=True)
-class BodyPoints:
+class PosedPoints:
     """Points in a pose, and the terms of their derivatives."""
 
     points: Num[np.ndarray, "F K 3"]
@@ -67,17 +67,17 @@ class BodyPoints:
 
 
 @dataclass(frozen=True)
-class Linear:
+class PointDerivatives:
     """Posed points and their derivatives."""
 
     points: Num[np.ndarray, "F K 3"]
-    turned: Num[np.ndarray, "F K 24 3"]  # D; the memory's order is (F, K, 3, 24)
-    shaped: Num[np.ndarray, "F K 3 B+1"]  # by betas and log scale
+    by_turn: Num[np.ndarray, "F K 24 3"]  # D; the memory's order is (F, K, 3, 24)
+    by_shape: Num[np.ndarray, "F K 3 B+1"]  # by betas and log scale
     world: Num[np.ndarray, "F 24 3 3"]
 
 
-class Basis:
-    """K points as a function of the state, with derivatives; see ``BodyModel.keypoint_basis``.
+class PointModel:
+    """K points as a function of the state, with derivatives; see ``BodyModel.keypoint_anchors``.
 
     Corrections belong to the first ``corrected`` points; ``carrier`` is the joint that carries a point most.
     """
@@ -107,23 +107,23 @@ class Basis:
         self.compiled = (
             np.ascontiguousarray(share),
             self.subtree_share,
-            _listed(carried),
-            _listed((carried @ ancestors.T) > 0),
+            _joint_lists(carried),
+            _joint_lists((carried @ ancestors.T) > 0),
             np.ascontiguousarray(self.offsets[..., 1:]),
             self.carrier,
             corrected,
         )
 
-    def points(self, state: State) -> Num[np.ndarray, "F K 3"]:
+    def points(self, state: FitState) -> Num[np.ndarray, "F K 3"]:
         """The points in the state's pose."""
-        return self.placed(state)[0]
+        return self.evaluate(state)[0]
 
-    def placed(
-        self, state: State
+    def evaluate(
+        self, state: FitState
     ) -> tuple[
         Num[np.ndarray, "F K 3"], Num[np.ndarray, "F 24 3 3"], Num[np.ndarray, "F 24 3"], Num[np.ndarray, "24 K 3"]
     ]:
-        """The points, world rotations and joints as in ``BodyPoints``, and offsets."""
+        """The points, world rotations and joints as in ``PosedPoints``, and offsets."""
         world, joints = forward_kinematics(
             np.ascontiguousarray(state.local), self.body.rest_joints(state.betas), self.body.parents
         )
@@ -137,28 +137,30 @@ class Basis:
             offsets,
         )
 
-    def posed(self, state: State) -> BodyPoints:
+    def pose(self, state: FitState) -> PosedPoints:
         """The points in the state's pose."""
         world, joints = forward_kinematics(state.local, self.body.rest_joints(state.betas), self.body.parents)
         parts = self._offsets(state) @ np.swapaxes(world, -1, -2)
         parts += self.share.T[..., None] * joints[:, :, None]
         points = np.exp(state.log_scale) * parts.sum(1) + state.trans[:, None]
-        return BodyPoints(points, parts, world, joints)
+        return PosedPoints(points, parts, world, joints)
 
-    def _offsets(self, state: State) -> np.ndarray:
+    def _offsets(self, state: FitState) -> np.ndarray:
         """(24, K, 3) the vectors that each joint's rotation turns."""
         offsets = self.offsets @ np.append(1.0, state.betas)
         own = self.carrier[: self.corrected]
         offsets[own, range(len(own))] += state.corrections[: len(own)]
         return offsets
 
-    def linear(self, state: State) -> Linear:
+    def linearise(self, state: FitState) -> PointDerivatives:
         """The points and their derivatives."""
-        posed = self.posed(state)
-        return Linear(posed.points, self.turned(state, posed), self.shaped(state, posed), posed.world)
+        posed = self.pose(state)
+        return PointDerivatives(
+            posed.points, self.derivatives_by_turn(state, posed), self.derivatives_by_shape(state, posed), posed.world
+        )
 
-    def turned(self, state: State, posed: BodyPoints) -> Num[np.ndarray, "F K 24 3"]:
-        """Derivatives by turns, see ``Linear``."""
+    def derivatives_by_turn(self, state: FitState, posed: PosedPoints) -> Num[np.ndarray, "F K 24 3"]:
+        """Derivatives by turns, see ``PointDerivatives``."""
         frames = len(posed.world)
         turned = (
             np.swapaxes(posed.parts.reshape(frames, 24, -1), 1, 2) @ self.ancestors.T
@@ -168,7 +170,7 @@ class Basis:
         turned *= np.exp(state.log_scale)
         return np.swapaxes(turned, 2, 3)
 
-    def shaped(self, state: State, posed: BodyPoints) -> Num[np.ndarray, "F K 3 B+1"]:
+    def derivatives_by_shape(self, state: FitState, posed: PosedPoints) -> Num[np.ndarray, "F K 3 B+1"]:
         """(F, K, 3, B + 1) derivatives by betas and log scale."""
         world, count, shapes = posed.world, len(self.share), self.body.shapes
         frames = len(world)
@@ -185,7 +187,7 @@ class Basis:
         return shaped
 
 
-def _listed(chosen: np.ndarray) -> np.ndarray:
+def _joint_lists(chosen: np.ndarray) -> np.ndarray:
     """(K, 25) the numbers of the joints ``chosen`` (K, 24), ascending, then −1."""
     ordered = np.sort(np.where(chosen, np.arange(24), 24), axis=1)
     return np.append(np.where(ordered < 24, ordered, -1), np.full((len(chosen), 1), -1), axis=1)
