@@ -23,7 +23,7 @@ from studiorecon.splatting.train.still import train_still
 from studiorecon.splatting.train.targets import Target
 from studiorecon.splatting.train.terms import L1AndSsim, PlaneView, Silhouette
 
-_COUNT, _BONES = 48, 24
+_COUNT = 48
 _NEAR_M = 0.1
 
 
@@ -63,7 +63,7 @@ def _as_a_person(threads: int) -> None:
         own.means_m.min(axis=0), own.means_m.max(axis=0), 2, rng, 4, 8, ControlPoints.on(own.means_m, 8)
     )
     posing = Posing(np.zeros((_COUNT, 4), np.uint8), np.full((_COUNT, 4), np.float32(0.25)))
-    transforms = np.tile(np.eye(4), (_BONES, 1, 1))
+    transforms = np.tile(np.eye(4), (24, 1, 1))
     colour, logits = with_residuals(network, seen, own.means_m, own.sh[:, :1].copy(), own.logit_opacities, 0)
     sh = np.concatenate([colour, own.sh[:, 1:]], axis=1)
     means, quaternions, sh = posing.out(own.means_m, own.quaternions, sh, transforms)

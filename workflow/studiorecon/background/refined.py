@@ -26,7 +26,6 @@ from studiorecon.scene.files import require_one_each
 from studiorecon.scene.path import PathStep, read_path
 from studiorecon.signature import Place, Written
 
-_SEED = 0
 
 
 def run(
@@ -52,7 +51,7 @@ def run(
     require_one_each(cameras, plates=plates)
     factors = read_factors(gains)
     photos = [to_bytes(factors.normalise(c.name, read_plate(plate, c.wh)[0])) for c, plate in zip(cameras, plates)]
-    network = load("picture enhancer", enhancer, weights, device, seed=_SEED)
+    network = load("picture enhancer", enhancer, weights, device, seed=0)
 
     def reference(step: PathStep) -> np.ndarray:
         return photos[int(np.argmin([angle_between_axes(step.camera, camera) for camera in cameras]))]

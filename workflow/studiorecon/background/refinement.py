@@ -23,7 +23,6 @@ from studiorecon.scene.camera import Camera
 if TYPE_CHECKING:
     pass
 
-_PERIODS = 2
 # Pixels with less coverage show a hole, which must not be learned.
 _SOLID = 0.95
 
@@ -71,7 +70,7 @@ def refinement_cameras(cameras: Sequence[Camera], views: Sequence[Camera], setti
         low = min(int(at), len(distinct) - 2)
         one, other, share = distinct[low], distinct[low + 1], at - low
         turned = slerp(one.world_from_camera[:3, :3], other.world_from_camera[:3, :3], np.array([share]))
-        rise_m = settings.height * radius_m * np.sin(2 * np.pi * _PERIODS * at / (len(distinct) - 1))
+        rise_m = settings.height * radius_m * np.sin(2 * np.pi * 2 * at / (len(distinct) - 1))
         down = np.arctan2(rise_m, radius_m)
         # About the camera's own x, to the right: raised cameras pitch down.
         pitch = np.array([[1, 0, 0], [0, np.cos(down), np.sin(down)], [0, -np.sin(down), np.cos(down)]])

@@ -25,9 +25,6 @@ from studiorecon.scene.user_values import short_text
 if TYPE_CHECKING:
     from jaxtyping import Num
 
-# Quaternions are written with 17 digits.
-_UNIT = 1e-6
-
 
 def quaternion_from_rotation(rotation: Num[np.ndarray, "3 3"]) -> Num[np.ndarray, " 4"]:
     """Unit quaternion (w, x, y, z), w ≥ 0, of a rotation, as in COLMAP's files."""
@@ -98,7 +95,8 @@ def _cameras(rows: Sequence[Sequence[str]], models: Mapping[str, tuple[tuple[int
     for row in rows:
         wh, intrinsics = models[row[8]]
         quaternion = np.array([float(v) for v in row[1:5]])
-        expect(abs(float(quaternion @ quaternion) - 1) < _UNIT, f"quaternion {' '.join(row[1:5])} is not of length 1")
+        # Quaternions are written with 17 digits.
+        expect(abs(float(quaternion @ quaternion) - 1) < 1e-6, f"quaternion {' '.join(row[1:5])} is not of length 1")
         camera_from_world = np.eye(4)
         camera_from_world[:3, :3] = rotations.from_quaternion(quaternion)
         camera_from_world[:3, 3] = [float(v) for v in row[5:8]]

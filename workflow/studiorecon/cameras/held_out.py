@@ -41,8 +41,6 @@ from studiorecon.signature import Written
 if TYPE_CHECKING:
     from jaxtyping import Float, Integer
 
-# Pictures that are searched in every held-out camera.
-_LOOKS = 12
 _STABLE = [LAYOUTS[LAYOUT].index(name) for name in STABLE_KEYPOINTS]
 
 
@@ -170,7 +168,8 @@ def run(
     film = {path.stem: path for path in videos}
     look = settings.refine and bool(film) and any(len(d.frame) for d in seen)
     network = detector.placer() if look else None
-    chosen = spread_indices(frames, _LOOKS)
+    # Pictures that are searched in every held-out camera.
+    chosen = spread_indices(frames, 12)
     bodies = triangulate_bodies(chosen, training, seen, settings) if look else None
     for camera in progress(cameras, "held-out cameras"):
         if network is None or bodies is None:

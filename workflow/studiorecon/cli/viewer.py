@@ -18,7 +18,6 @@ from urllib.parse import quote, unquote_to_bytes
 from studiorecon.errors import UserError
 
 _RANGE = re.compile(r"bytes=([0-9]{0,18})-([0-9]{0,18})")
-_CHUNK_BYTES = 1 << 16
 
 
 class Viewer(http.server.ThreadingHTTPServer):
@@ -113,7 +112,7 @@ class _Reader(http.server.BaseHTTPRequestHandler):
         self.end_headers()
         left = len(part) if self.command == "GET" else 0
         file.seek(part.start)
-        while left and (chunk := file.read(min(left, _CHUNK_BYTES))):
+        while left and (chunk := file.read(min(left, 1 << 16))):
             self.wfile.write(chunk)
             left -= len(chunk)
 

@@ -22,8 +22,6 @@ from studiorecon.configuration.settings import literal_keys
 
 # Name → the fields read below it; None = the value as a whole.
 Fields = dict[str, Any]
-# Number of steps whose fields are cached; the oldest are dropped first.
-_REMEMBERED = 500
 
 
 def select_settings(step: str, section: Mapping[str, Any]) -> dict[str, Any]:
@@ -112,5 +110,6 @@ def _remember(known: dict[str, Fields]) -> None:
         memory = _memory()
         memory.parent.mkdir(exist_ok=True)
         partial = memory.with_suffix(f".{os.getpid()}.partial")
-        partial.write_text(json.dumps(dict(list(known.items())[-_REMEMBERED:])), encoding="ascii")
+        # Number of steps whose fields are cached; the oldest are dropped first.
+        partial.write_text(json.dumps(dict(list(known.items())[-500:])), encoding="ascii")
         partial.replace(memory)

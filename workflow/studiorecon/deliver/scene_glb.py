@@ -39,8 +39,6 @@ if TYPE_CHECKING:
     from jaxtyping import Integer
 
 SPLATS, NAMES = "KHR_gaussian_splatting", "KHR_gaussian_splatting:"
-_POINTS = 0  # glTF's mode of primitives that are points
-_NEAR_M = 0.05
 _OPENGL_FROM_OPENCV = np.diag([1.0, -1.0, -1.0])
 
 
@@ -67,13 +65,14 @@ def add_splats(buffer: Buffer, own: Gaussians, provenance: Integer[np.ndarray, "
         "projection": "perspective",
         "sortingMethod": "cameraDistance",
     }
-    return {"attributes": attributes, "mode": _POINTS, "material": 0, "extensions": {SPLATS: looks}}
+    # glTF's mode of primitives that are points.
+    return {"attributes": attributes, "mode": 0, "material": 0, "extensions": {SPLATS: looks}}
 
 
 def camera_node(camera: Camera) -> tuple[dict[str, Any], dict[str, Any]]:
     """A glTF camera and its node; principal point, focal lengths and size are in ``extras``, in pixels."""
     (width, height), (_, fy) = camera.wh, camera.focal_px
-    shown = {"yfov": 2 * float(np.arctan(height / (2 * fy))), "aspectRatio": width / height, "znear": _NEAR_M}
+    shown = {"yfov": 2 * float(np.arctan(height / (2 * fy))), "aspectRatio": width / height, "znear": 0.05}
     described = {"wh": list(camera.wh), "focal_px": list(camera.focal_px), "principal_px": list(camera.principal_px)}
     turned = rotations.to_quaternion(Y_UP_FROM_Z_UP @ camera.world_from_camera[:3, :3] @ _OPENGL_FROM_OPENCV)
     place = Y_UP_FROM_Z_UP @ camera.centre_m

@@ -34,8 +34,6 @@ if TYPE_CHECKING:
 _APERTURE = 36.0
 _CLIPPING_M = 0.05, 1000.0
 _OPENGL_FROM_OPENCV = np.diag([1.0, -1.0, -1.0, 1.0])
-# Standard deviations within which other programs draw a Gaussian.
-_REACH = 3.0
 
 
 def pxr() -> Any:
@@ -68,7 +66,8 @@ def add_gaussians(stage: Any, path: str, own: Gaussians, provenance: Integer[np.
     splat.CreateRadianceSphericalHarmonicsDegreeAttr(own.sh_degree)
     splat.CreateRadianceSphericalHarmonicsCoefficientsAttr(_vectors(own.sh.reshape(own.count * own.sh.shape[1], 3)))
     if own.count:
-        reach_m = _REACH * scales_m.max(axis=1, keepdims=True)
+        # Standard deviations within which other programs draw a Gaussian.
+        reach_m = 3.0 * scales_m.max(axis=1, keepdims=True)
         splat.CreateExtentAttr(
             _vectors(np.stack([(own.means_m - reach_m).min(axis=0), (own.means_m + reach_m).max(axis=0)]))
         )

@@ -22,8 +22,6 @@ if TYPE_CHECKING:
 
 _BAR_PX = 24
 _GAP_PX = 4
-# Seconds in which the wipe goes from one side to the other and back.
-_WIPE_S = 4.0
 
 
 def side_by_side(
@@ -57,7 +55,8 @@ def wipe_picture(
 
 def wipe_share(picture: int, fps: float) -> float:
     """Position of the wipe's line as a share of the width; it starts in the middle and moves at an even, slow speed."""
-    return 0.5 + 0.45 * float(np.sin(2 * np.pi * picture / (fps * _WIPE_S)))
+    # Seconds in which the wipe goes from one side to the other and back.
+    return 0.5 + 0.45 * float(np.sin(2 * np.pi * picture / (fps * 4.0)))
 
 
 def photo_at_steps(steps: Sequence[PathStep], videos: Sequence[Path]) -> Iterator[Integer[np.ndarray, "H W 3"] | None]:

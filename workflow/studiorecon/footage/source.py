@@ -24,7 +24,6 @@ from studiorecon.machine.resource_errors import lacks_thread
 from studiorecon.scene.dataset import PICTURE_SUFFIXES
 from studiorecon.scene.numbered_files import missing_numbers_text, pictures_in
 
-_READ_BYTES = 1 << 20
 # Cameras film 80 megapixels at most (12K); a decoder allocates several times the size in the header.
 _MAX_PIXELS = 100_000_000
 # A gap of this many frame times between two pictures means that the recorder dropped some.
@@ -238,6 +237,6 @@ def _open_folder(path: Path, picture_fps: float) -> FootageSource:
 def _file_digest(path: Path) -> str:
     whole = hashlib.sha256()
     with open(path, "rb") as file:
-        while block := file.read(_READ_BYTES):
+        while block := file.read(1 << 20):
             whole.update(block)
     return whole.hexdigest()

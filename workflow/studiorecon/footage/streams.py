@@ -10,9 +10,6 @@ from contextlib import contextmanager
 
 import numpy as np
 
-# Frames that may wait for a slow encoder; the producer pauses beyond that.
-_WAITING = 8
-
 Writer = Callable[[Iterator[np.ndarray]], object]
 
 
@@ -23,7 +20,8 @@ def parallel_writers(writers: Sequence[Writer]) -> Iterator[Callable[..., None]]
     The files are complete when the block ends. When the block, or any writer, fails, every writer is stopped by an
     error inside its iterator, so that none of them keeps a partial file, and that first error is raised.
     """
-    queues: list[queue.Queue] = [queue.Queue(maxsize=_WAITING) for _ in writers]
+    # Frames that may wait for a slow encoder; the producer pauses beyond that.
+    queues: list[queue.Queue] = [queue.Queue(maxsize=8) for _ in writers]
     failures: list[BaseException] = []
     ended: set[int] = set()
 

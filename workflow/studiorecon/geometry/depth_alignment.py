@@ -20,7 +20,6 @@ _MIN_RELIEF = 0.05
 _MIN_PIXELS = 50
 # Number of pixel pairs that vote for the slope; more do not move their median.
 _PAIRS = 20000
-_ROUNDS = 20
 # Huber's limit in robust sigmas.
 _HUBER = 1.5
 
@@ -81,7 +80,7 @@ def align_depth(
     if scale <= 0:
         return ratio
     shift = float(np.median(y - scale * x))
-    for _ in range(_ROUNDS):
+    for _ in range(20):
         residual = (y - scale * x - shift) / np.sqrt(1 + scale**2)
         sigma = max(SIGMA_OF_MAD * float(np.median(np.abs(residual))), 1e-9)
         size = np.abs(residual) / sigma

@@ -17,7 +17,6 @@ from studiorecon.arrays import require
 if TYPE_CHECKING:
     from jaxtyping import Bool, Num
 
-_RESIDUAL = 1e-9
 _COEFFICIENTS = {"opencv": 8, "fisheye": 4}
 
 
@@ -71,7 +70,7 @@ def undistort(
         full,
         model == "fisheye",
         fold_radius(model, coefficients),
-        _RESIDUAL,
+        1e-9,
         answers,
         valid,
     )

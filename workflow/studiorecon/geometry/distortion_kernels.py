@@ -10,7 +10,6 @@ from __future__ import annotations
 import numpy as np
 from numba import njit
 
-_RADIAL_STEPS = 100
 _PLANE_STEPS = 12
 # Newton squares its relative error: after steps this small it is 1e-13 or less on the radius and in the plane.
 _SETTLED, _PLANE_SETTLED = 2e-7, 1e-6
@@ -177,7 +176,7 @@ def _invert(target, radius, k, fisheye, limit, farthest):
     if target >= farthest:
         return limit
     low, high = 0.0, limit
-    for _ in range(_RADIAL_STEPS):
+    for _ in range(100):
         grown, slope = _radial(radius, k, fisheye)
         if grown < target:
             low = radius

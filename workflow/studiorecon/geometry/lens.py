@@ -32,10 +32,6 @@ _MAX_UNSEEN = 0.5
 _MIN_SIDE_PX = 2.0
 # Points along a side of the picture at which the unseen share is counted: to 0.1 %.
 _GRID = 64
-# Normalised: no picture reaches so far, and its pixels still fit into 16 bits, as cv2.remap needs.
-_FAR_OUTSIDE = -6.0
-# Tolerance of a rectangle's size, as a share: a thousandth of a pixel of a large picture.
-_SHARE_STEP = 1e-7
 
 
 @dataclass(frozen=True)
@@ -209,7 +205,8 @@ def video_from_working(
     fold = np.inf if lens.model == "fisheye" else fold_radius(lens.model, lens.distortion)
     if np.isfinite(fold):
         beyond = np.linalg.norm(normalised, axis=-1) > fold
-        distorted = np.where(beyond[..., None], _FAR_OUTSIDE, distorted)
+        # Normalised: no picture reaches so far, and its pixels still fit into 16 bits, as cv2.remap needs.
+        distorted = np.where(beyond[..., None], -6.0, distorted)
     calibration = distorted * np.array([lens.intrinsics[0, 0], lens.intrinsics[1, 1]]) + lens.intrinsics[:2, 2]
     affine = calibration_from_video_pixels(lens, source_wh)
     return (calibration - affine[:, 2]) @ np.linalg.inv(affine[:, :2]).T
@@ -278,7 +275,8 @@ def _undoable(
         )
 
     least, most = 0.0, 1.0
-    while most - least > _SHARE_STEP:
+    # Tolerance of a rectangle's size, as a share: a thousandth of a pixel of a large picture.
+    while most - least > 1e-7:
         middle = (least + most) / 2
         least, most = (middle, most) if seen(middle) else (least, middle)
     return anchor + least * (whole - anchor)

@@ -16,7 +16,6 @@ if TYPE_CHECKING:
 
 _MIN_PAIRS = 12
 _CONFIDENCE = 0.9999
-_ROUNDS = 3
 
 
 def relative_pose(
@@ -122,7 +121,7 @@ def resection(
         return None
     inliers = np.zeros(len(points), dtype=bool)
     inliers[chosen[:, 0]] = True
-    for _ in range(_ROUNDS):
+    for _ in range(3):
         turn, shift = cv2.solvePnPRefineLM(points[inliers], pixels[inliers], np.eye(3), None, turn, shift)
         pose = np.eye(4)
         pose[:3, :3], pose[:3, 3] = exp(turn[:, 0]), shift[:, 0]

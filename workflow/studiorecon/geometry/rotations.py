@@ -20,8 +20,6 @@ if TYPE_CHECKING:
 
 # Within this of half a turn, rounding decides the sign of the axis; slerp then uses a reference direction instead.
 _HALF_TURN_RAD = 1e-6
-# Smallest gap between the two largest eigenvalues of Σ w q qᵀ, relative to Σ w, of a determined mean (R17).
-_MEAN_GAP = 1e-6
 
 
 def cross_matrix(vectors: Num[np.ndarray, "... 3"]) -> Num[np.ndarray, "... 3 3"]:
@@ -188,7 +186,8 @@ def mean(
     require("weights", w, q.shape[:-1], finite=True)
     values, vectors = np.linalg.eigh(np.einsum("...n,...ni,...nj->...ij", w, q, q))
     total = w.sum(-1)
-    determined = (total > 0) & (values[..., 3] - values[..., 2] > _MEAN_GAP * total)
+    # Smallest gap between the two largest eigenvalues of Σ w q qᵀ, relative to Σ w, of a determined mean (R17).
+    determined = (total > 0) & (values[..., 3] - values[..., 2] > 1e-6 * total)
     return from_quaternion(vectors[..., :, 3]), determined
 
 

@@ -24,7 +24,6 @@ if TYPE_CHECKING:
 _DELTA_SHARE = 0.1
 _MIN_BONES = 4
 _SMALLEST, _LARGEST = 1e-6, 1e6
-_ROUNDS = 200
 
 
 @dataclass(frozen=True)
@@ -117,7 +116,7 @@ def fit_scale(
     # In units of the median ratio the problem is the same at every scale (S01).
     unit, scaled, noise = scale, lengths / scale, variance / scale**2
     delta, scale = _DELTA_SHARE * template_m, 1.0
-    for _ in range(_ROUNDS):
+    for _ in range(200):
         expected = scale * template_m
         # A bone as short as its noise is not informative: the correction is at most half of it.
         corrected = scaled - np.minimum(noise / expected, 0.5 * scaled)

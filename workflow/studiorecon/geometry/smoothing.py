@@ -25,7 +25,6 @@ if TYPE_CHECKING:
 # Where the kernel is truncated, relative to its centre; and the Gaussian's reach in sigmas (U41).
 _FADED = 1e-4
 _GAUSS_REACH = 4.0
-_MEAN_STEPS = 2
 
 
 @dataclass(frozen=True)
@@ -168,7 +167,7 @@ def smooth_rotations(
     for other, weight in window:
         centre += np.copysign(weight, _dot(quaternions, other)) * other
     centre /= np.sqrt((centre**2).sum(0))
-    for _ in range(_MEAN_STEPS):
+    for _ in range(2):
         total = np.zeros_like(centre)
         for other, weight in window:
             total += weight * _turn_per_vector(_dot(centre, other)) * other

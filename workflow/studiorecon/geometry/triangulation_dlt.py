@@ -6,8 +6,6 @@ from __future__ import annotations
 import numpy as np
 from numba import njit
 
-_SWEEPS = 30
-
 
 @njit(cache=True, nogil=True)
 def dlt(rig, seen, weights, n, used, rows, turned, point):
@@ -42,7 +40,7 @@ def dlt(rig, seen, weights, n, used, rows, turned, point):
     for a in range(4):
         for b in range(4):
             turned[a, b] = 1.0 if a == b else 0.0
-    for _ in range(_SWEEPS):
+    for _ in range(30):
         rotated = False
         for a in range(3):
             for b in range(a + 1, 4):

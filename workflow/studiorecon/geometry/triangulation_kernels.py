@@ -14,9 +14,6 @@ from studiorecon.geometry.triangulation_dlt import dlt
 
 # The cost that _normal minimises: the Huber norm, or unweighted squared pixels (for covariances).
 _HUBER, _PIXELS = 1, 2
-_ROUNDS = 3
-_STEPS = 10
-_HUBER_STEPS = 60
 
 
 @njit(cache=True, nogil=True)
@@ -54,7 +51,7 @@ def robust(rig, seen, weights, gates, filled):
         if lowest == np.inf:
             continue
         agreed[:] = False
-        for _ in range(_ROUNDS):
+        for _ in range(3):
             changed = False
             for k in range(usable):
                 v = used[k]
@@ -63,7 +60,7 @@ def robust(rig, seen, weights, gates, filled):
                 agreed[v] = agrees
             if not changed:
                 break
-            _refine(rig, seen, weights, n, used[:usable], agreed, _HUBER, _STEPS, near, best, room)
+            _refine(rig, seen, weights, n, used[:usable], agreed, _HUBER, 10, near, best, room)
         support = 0
         for k in range(usable):
             v = used[k]
@@ -90,7 +87,7 @@ def linear(rig, seen, weights, gates, huber, filled):
         if usable < 2 or not dlt(rig, seen, weights, n, used[:usable], rows, turned, point):
             continue
         if huber:
-            _refine(rig, seen, weights, n, used[:usable], everyone, _HUBER, _HUBER_STEPS, near, point, room)
+            _refine(rig, seen, weights, n, used[:usable], everyone, _HUBER, 60, near, point, room)
         _report(rig, seen, weights, n, used[:usable], everyone, gates, point, filled)
 
 

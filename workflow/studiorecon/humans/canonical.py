@@ -20,14 +20,12 @@ from studiorecon.progress import say
 from studiorecon.scene.gaussians_ply import write_ply
 from studiorecon.signature import Place, Written
 
-_INSIDE = 128
-
 
 def run(photo: Path, weights: Place, gaussians: Written) -> None:
     """Write the canonical Gaussians of the person in ``photo`` (PNG with alpha)."""
     stored = read_image(photo, cv2.IMREAD_UNCHANGED)
     network = load("canonical avatar", CANONICAL, weights, "cuda")
-    made = network.avatar(np.ascontiguousarray(stored[..., 2::-1]), stored[..., 3] >= _INSIDE)
+    made = network.avatar(np.ascontiguousarray(stored[..., 2::-1]), stored[..., 3] >= 128)
     name = photo.name.partition(".")[0]
     say(f"{name}: {made.count} Gaussians in the rest pose, height {np.ptp(made.means_m[:, 1]):.2f} m")
     write_ply(gaussians, made)

@@ -16,9 +16,6 @@ from studiorecon.progress import say
 from studiorecon.scene.people import read_people
 from studiorecon.signature import Written
 
-# Every so many frames one photo is compared.
-_STEP = 5
-
 
 def best_photo(masks: Sequence[Path], label: int) -> tuple[int, int]:
     """(camera index, frame) in which the person covers most pixels and touches neither border nor other masks.
@@ -28,7 +25,8 @@ def best_photo(masks: Sequence[Path], label: int) -> tuple[int, int]:
     best, found = 0, None
     for index, path in enumerate(masks):
         for frame, labels in enumerate(read_frames(path)):
-            if frame % _STEP:
+            # Every so many frames one photo is compared.
+            if frame % 5:
                 continue
             own = labels == label
             size = int(own.sum())

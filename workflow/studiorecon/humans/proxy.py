@@ -31,8 +31,6 @@ _COLOURS = {
     "skin": (0.80, 0.72, 0.62), "hair": (0.25, 0.22, 0.20), "shirt": (0.85, 0.55, 0.20), "trousers": (0.25, 0.45, 0.60),
     "shoes": (0.20, 0.20, 0.22), "eyes": (0.15, 0.15, 0.18),
 }  # fmt: skip
-_SQUARE_M = 0.07
-_DARKER = 0.72
 
 
 @dataclass(frozen=True)
@@ -43,8 +41,8 @@ class Settings(StartSettings):
 def chequered_colours(points_m: Float[np.ndarray, "N 3"], parts: Shaped[np.ndarray, " N"]) -> Float[np.ndarray, "N 3"]:
     """Colours of rest-pose points on parts named as in a body model: squares of 7 cm, every other darker."""
     base = np.array([_COLOURS.get(str(part), _COLOURS["skin"]) for part in parts])
-    dark = np.floor(points_m / _SQUARE_M).astype(int).sum(axis=1) % 2 == 0
-    return np.where(dark[:, None], _DARKER * base, base)
+    dark = np.floor(points_m / 0.07).astype(int).sum(axis=1) % 2 == 0
+    return np.where(dark[:, None], 0.72 * base, base)
 
 
 def run(settings: Settings, body: Path, fit: Path, gaussians: Written) -> None:

@@ -26,11 +26,6 @@ if TYPE_CHECKING:
 
 # Limits of the detector's mask (0 to 1): surely not, and surely the person; between them the colours decide.
 _OUT, _IN = 0.02, 0.9
-_ROUNDS = 5
-# The person in a photo must be this many times as large as every other one.
-_MEANT = 1.5
-# Longer side of the picture that GrabCut sees: finer than the detector's mask, and done in seconds.
-_CUT_PX = 1000
 _ASK = "bring a photo of one whole person, or one that is cut out (PNG with alpha)"
 
 
@@ -46,7 +41,8 @@ def whole_mask(seen: Landmarks, wh: tuple[int, int]) -> Float[np.ndarray, "h w"]
 def segment_person(picture: Integer[np.ndarray, "H W 3"], sure: Float[np.ndarray, "H W"]) -> Bool[np.ndarray, "H W"]:
     """The person in ``picture`` by colours, where ``sure`` in [0, 1] is undecided; one region."""
     height, width = sure.shape
-    scale = min(1.0, _CUT_PX / max(height, width))
+    # Longer side of the picture that GrabCut sees: finer than the detector's mask, and done in seconds.
+    scale = min(1.0, 1000 / max(height, width))
     small = (max(1, round(width * scale)), max(1, round(height * scale)))
     colours = cv2.resize(picture, small, interpolation=cv2.INTER_AREA)
     there = cv2.resize(sure, small, interpolation=cv2.INTER_AREA)
@@ -55,7 +51,7 @@ def segment_person(picture: Integer[np.ndarray, "H W 3"], sure: Float[np.ndarray
     if (marks == cv2.GC_BGD).any() and (marks == cv2.GC_FGD).any():
         cv2.setRNGSeed(0)
         models = np.zeros((1, 65)), np.zeros((1, 65))
-        cv2.grabCut(colours, marks, (0, 0, 0, 0), *models, _ROUNDS, cv2.GC_INIT_WITH_MASK)
+        cv2.grabCut(colours, marks, (0, 0, 0, 0), *models, 5, cv2.GC_INIT_WITH_MASK)
     own = np.isin(marks, (cv2.GC_FGD, cv2.GC_PR_FGD)).astype(np.uint8)
     _, labels, sizes, _ = cv2.connectedComponentsWithStats(own)
     if len(sizes) > 1:
@@ -84,7 +80,8 @@ def run(stranger: str, photo: Path, networks: list[Path], cut: Written) -> None:
         if not found:
             raise UserError(f"{photo} shows no person to the built-in detector; {_ASK}")
         if len(found) > 1:
-            if found[1].region.side * _MEANT > found[0].region.side:
+            # The person in a photo must be this many times as large as every other one.
+            if found[1].region.side * 1.5 > found[0].region.side:
                 raise UserError(f"{photo} shows several people of similar size; {_ASK}")
             say(f"{stranger}: the photo shows {len(found)} people; the largest one is used")
         own = segment_person(picture, whole_mask(found[0], wh))

@@ -55,8 +55,6 @@ from studiorecon.splatting.train.trainer import train
 if TYPE_CHECKING:
     from jaxtyping import Bool, Integer
 
-# Frame rate to which the weight of the poses' smoothness refers.
-_POSE_FPS = 30.0
 
 
 def recolour_unseen(
@@ -119,7 +117,8 @@ def run(
     checkpoint = Checkpoint(working / "checkpoint.npz", mark, settings.checkpoint_every_s)
     appearance = _appearance(settings, rest, fitted, crops)
     # Smoothness limits a joint's speed: between frames further apart in time the joint turns further.
-    losses = replace(settings.losses, pose=settings.losses.pose * (fitted.fps / _POSE_FPS) ** 2)
+    # Frame rate to which the weight of the poses' smoothness refers.
+    losses = replace(settings.losses, pose=settings.losses.pose * (fitted.fps / 30.0) ** 2)
     subject = _training_subject(settings, rest, losses, crops, threads, rng, appearance, device)
     terms = active_terms(losses, _network(settings, lpips, threads, device))
     train(subject, terms, (0, settings.iterations), rng, label=person, checkpoint=checkpoint, previews=working)

@@ -19,7 +19,6 @@ if TYPE_CHECKING:
 _PIXELS, _DARKEST, _BRIGHTEST = 6000, 12, 243
 # A picture needs at least so many of these pixels free and unsaturated to measure its light.
 _MIN_PIXELS = 50
-_ROUNDS = 3
 STEADY = 0.02
 """Pictures whose brightness differs by less than this share are in one light: noise and people make as much."""
 
@@ -45,7 +44,7 @@ def light_factors(frames: Integer[np.ndarray, "T H W 3"], free: Bool[np.ndarray,
         return factors
     logs = np.where(valid[..., None], levels, np.nan)[is_measured][:, seen]
     gains = np.zeros((len(logs), 3))
-    for _ in range(_ROUNDS):
+    for _ in range(3):
         room = np.nanmedian(logs - gains[:, None], axis=0)
         gains = np.nanmedian(logs - room, axis=1)
         gains -= np.median(gains, axis=0)

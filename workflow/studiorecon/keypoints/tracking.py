@@ -13,7 +13,6 @@ import scipy
 if TYPE_CHECKING:
     from jaxtyping import Bool, Integer, Num
 
-_REFUSED = 1e6
 # Time over which a track's speed is measured and extrapolated: an arm swings back after a quarter of a stride.
 _REMEMBERED_S = 0.2
 # How fast an outline may change beyond ``shape_share``, shares of the box diagonal per second: a person turns, bends,
@@ -108,7 +107,7 @@ def match_detections(cost: Num[np.ndarray, "A B"], limit: float) -> list[tuple[i
     if 0 in cost.shape:
         return []
     admissible = np.isfinite(cost) & (cost < limit)
-    rows, columns = scipy.optimize.linear_sum_assignment(np.where(admissible, cost, _REFUSED))
+    rows, columns = scipy.optimize.linear_sum_assignment(np.where(admissible, cost, 1e6))
     return [(int(r), int(c)) for r, c in zip(rows, columns) if admissible[r, c]]
 
 

@@ -17,9 +17,6 @@ from pathlib import Path
 
 from studiorecon import code
 
-# Versions of a module's machine code that are kept: that of this checkout, and of others on the machine.
-_VERSIONS = 4
-
 
 def cache_folder() -> Path:
     """The cache folder: ``kernels`` in the user's cache, or the one in NUMBA_CACHE_DIR."""
@@ -52,7 +49,8 @@ class ByContent:
         if not self._place.is_dir():
             self._place.mkdir(parents=True, exist_ok=True)
             versions = sorted(self._place.parent.iterdir(), key=lambda path: path.stat().st_mtime)
-            for old in versions[:-_VERSIONS]:
+            # Versions of a module's machine code that are kept: that of this checkout, and of others on the machine.
+            for old in versions[:-4]:
                 shutil.rmtree(old, ignore_errors=True)
         if not os.access(self._place, os.W_OK):
             raise PermissionError(f"{self._place} cannot be written")

@@ -25,8 +25,6 @@ _STARVED = (
     "Available memory of",
     "process pool was terminated abruptly",
 )
-# OpenCV's code for a failed allocation.
-_NO_MEMORY_CV = -4
 # Share of the memory limit from which a failure is attributed to it: the size of the failed allocation is unknown.
 _MAX = 0.8
 
@@ -44,7 +42,8 @@ def is_memory_error(error: BaseException) -> bool:
     if isinstance(error, MemoryError) or (isinstance(error, OSError) and error.errno in _NO_MEMORY):
         return True
     if type(error).__module__ == "cv2":
-        return getattr(error, "code", None) == _NO_MEMORY_CV
+        # OpenCV's code for a failed allocation.
+        return getattr(error, "code", None) == -4
     # Some libraries name the missing shared object in their own message, which follows the system's.
     text = f"{error} {error.__context__}"
     return any(words in text for words in _STARVED)

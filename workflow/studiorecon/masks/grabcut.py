@@ -17,8 +17,6 @@ if TYPE_CHECKING:
 
 # Colour models of fewer pixels than this are noise.
 _MIN_SEEDS = 40
-# Side of the square, pixels, around the candidates in which colours are learned.
-_SURROUNDINGS_PX = 31
 
 
 @dataclass(frozen=True)
@@ -45,7 +43,8 @@ def cut_unknown(
     candidates = unknown & np.isfinite(evidence)
     if settings.rounds <= 0 or not candidates.any():
         return evidence
-    near = dilate(candidates, _SURROUNDINGS_PX)
+    # Side of the square, pixels, around the candidates in which colours are learned.
+    near = dilate(candidates, 31)
     rows, columns = np.flatnonzero(near.any(axis=1)), np.flatnonzero(near.any(axis=0))
     box = slice(rows[0], rows[-1] + 1), slice(columns[0], columns[-1] + 1)
     inside = evidence[box]

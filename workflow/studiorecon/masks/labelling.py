@@ -43,8 +43,6 @@ from studiorecon.splatting.rigid_object import RigidObject
 if TYPE_CHECKING:
     from jaxtyping import Bool, Float, Integer
 
-# Number of pictures that measure the plate's unrest.
-_UNREST_FRAMES = 12
 
 
 @dataclass(frozen=True)
@@ -207,7 +205,8 @@ def segment(
 ) -> Iterator[Integer[np.ndarray, "H W"]]:
     """Labels of every frame; pixels of ``things`` are unassigned; ``seen``: the detector's masks."""
     plate = Plate(plate_rgb, measured, np.zeros(measured.shape, np.float32))
-    chosen = spread_indices(len(frames), _UNREST_FRAMES)
+    # Number of pictures that measure the plate's unrest.
+    chosen = spread_indices(len(frames), 12)
     free = []
     for t in chosen:
         distances = person_evidence(bodies.depths(t), bodies.camera, [True] * len(bodies.people), settings.outline)[1]

@@ -15,9 +15,6 @@ from studiorecon.splatting.rigid_object import RigidObject
 if TYPE_CHECKING:
     from jaxtyping import Float, Integer
 
-# Objects extend this much beyond their sphere, because they are rarely round.
-_GROWN = 1.15
-
 
 def subtract_objects(
     labels: Integer[np.ndarray, "H W"],
@@ -34,7 +31,8 @@ def subtract_objects(
     labels = labels.copy()
     front = np.where(depths_m > 0, depths_m, np.inf).min(axis=0, initial=np.inf)
     for thing in things:
-        depth_m = thing.outline(camera, frame, _GROWN)
+        # Objects extend this much beyond their sphere, because they are rarely round.
+        depth_m = thing.outline(camera, frame, 1.15)
         shown = (depth_m > 0) & (depth_m < front)
         labels[shown & ((labels > 0) | np.isfinite(front))] = UNASSIGNED
     return labels

@@ -29,10 +29,6 @@ from studiorecon.scene.numbered_files import missing_numbers_text, pictures_in
 if TYPE_CHECKING:
     from jaxtyping import Float, Integer, Num
 
-# Lossy codecs turn 0 into 1 and smear borders: a video with more grey levels than this holds no exact labels and is
-# thresholded.
-_MAX_LABELS = 32
-
 
 @dataclass(frozen=True)
 class UserMasks:
@@ -83,7 +79,9 @@ def read_given(path: Path, footage: Path, calibration: Path, frames: int) -> Use
             f"{about.camera} are in use; bring one mask for each"
         )
     values = np.any([occur[k] for k in chosen], axis=0)
-    return UserMasks(path, chosen, columns, rows, int(values.sum()) <= _MAX_LABELS)
+    # Lossy codecs turn 0 into 1 and smear borders: a video with more grey levels than this holds no exact labels and is
+    # thresholded.
+    return UserMasks(path, chosen, columns, rows, int(values.sum()) <= 32)
 
 
 def label_given_masks(

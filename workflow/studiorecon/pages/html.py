@@ -41,7 +41,6 @@ _TABLE = """<div class="scroll"><table{% if wide %} class="wide"{% endif %}><the
 {%- for v in row %}<td{% if loop.index0 in numeric %} class=n{% endif %}
 {%- if wide %} data-of="{{ header[loop.index0] }}"{% endif %}>{{ v }}</td>{% endfor -%}
 </tr>{% endfor %}</tbody></table></div>"""
-_COLUMNS_OF_A_PHONE = 5
 _BAR = """<div class="bar"><i style="width:{{ percent }}%"></i></div>"""
 _FOLDED = """<details><summary>{{ title }}</summary><pre>{{ content }}</pre></details>"""
 
@@ -99,9 +98,7 @@ def table(
     On a phone the rows of a table with many columns become lists.
     """
     cells = [[Markup(v) if i in raw else str(v) for i, v in enumerate(r)] for r in rows]
-    return str(
-        fill_template(_TABLE, header=header, rows=cells, numeric=numeric, wide=len(header) > _COLUMNS_OF_A_PHONE)
-    )
+    return str(fill_template(_TABLE, header=header, rows=cells, numeric=numeric, wide=len(header) > 5))
 
 
 def bar(share: float) -> str:

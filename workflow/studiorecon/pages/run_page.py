@@ -22,7 +22,6 @@ _EARLY = (
     ("render/*.mkv", "films, raw"),
     ("enhance/*.mp4", "films"),
 )
-_MAX = 8
 _BODY = """
 <h1>{{ scene }}</h1>
 <p>{{ words }}</p>
@@ -90,6 +89,6 @@ def early_results(folder: Path) -> Mapping[str, str]:
     """name → description of the results below ``folder`` that can be opened already."""
     found: dict[str, str] = {}
     for pattern, about in _EARLY:
-        for path in sorted(folder.glob(pattern))[:_MAX]:
+        for path in sorted(folder.glob(pattern))[:8]:
             found[path.relative_to(folder).as_posix()] = about
     return found

@@ -31,8 +31,6 @@ if TYPE_CHECKING:
 
 # cv2 draws in sixteenths of a pixel, counted from pixel centres.
 _SHIFT = 4
-# Thickness of lines per pixel of picture width.
-_THICKNESS = 1 / 320
 _NEAR_M = 0.05
 
 
@@ -54,7 +52,8 @@ def draw_frame(
 ) -> Integer[np.ndarray, "H W 3"]:
     """Picture with this frame's keypoints and skeletons drawn into a copy."""
     canvas = np.ascontiguousarray(picture).copy()
-    width = max(1, round(_THICKNESS * canvas.shape[1]))
+    # Thickness of lines per pixel of picture width.
+    width = max(1, round((1 / 320) * canvas.shape[1]))
     names = [person.name for person in people]
     shown = [] if seen is None else [(seen.track[d], seen.keypoints[d]) for d in np.flatnonzero(seen.frame == frame)]
     for track, points in shown:

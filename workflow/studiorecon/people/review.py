@@ -31,10 +31,8 @@ if TYPE_CHECKING:
 # Distinguishable for colour-blind readers; one per person, repeated after eight.
 _COLOURS = ("#0072b2", "#d55e00", "#009e73", "#cc79a7", "#e69f00", "#56b4e9", "#8c6bb1", "#4d4d4d")
 _NOBODY = "#999999"
-_MARGIN_SHARE = 0.18  # margin around the keypoints' box
 # Per person and camera, large enough to recognise a person: a picture takes about 5 kB.
 _PICTURES = 6
-_HEIGHT_PX = 150
 # Rejected tracks that are shown, the longest first.
 _MAX_REJECTED = 40
 _SOURCES = {
@@ -132,7 +130,8 @@ def cut_out(
     points = keypoints[present, :2]
     # A stray keypoint far away must not shrink the person to nothing: the box holds the middle nine tenths.
     low, high = (np.percentile(points, q, axis=0) for q in (5, 95))
-    around = _MARGIN_SHARE * max(high - low) + 4
+    # Margin around the keypoints' box.
+    around = 0.18 * max(high - low) + 4
     x0, y0 = np.maximum(np.floor(low - around), 0).astype(int)
     x1, y1 = np.minimum(np.ceil(high + around), picture.shape[1::-1]).astype(int)
     x1, y1 = max(x1, x0 + 2), max(y1, y0 + 2)
@@ -224,7 +223,7 @@ def run(
             )
         )
     flat = [(one, colour) for _, colour, some in strips for one in some]
-    images = iter(cut_out_pictures(flat, found, videos, _HEIGHT_PX))
+    images = iter(cut_out_pictures(flat, found, videos, 150))
     shown = {}
     for where, colour, some in strips:
         figures = [

@@ -14,9 +14,6 @@ from studiorecon.placement.room import HEAD_M, HIPS_M, WIDTH_M, Room
 from studiorecon.scene.camera import Camera
 
 _MAP_PX, _GAP_PX, _TOP_PX, _LINE_PX = 430, 50, 92, 19
-_CHARACTER_PX = 7  # mean width of a letter
-_CELLS = 44
-_CONE_M = 1.1
 # Names of viewing directions in the picture, from right (0°) counter-clockwise in steps of 45 degrees.
 _WAYS = ("right", "far right", "to the far wall", "far left", "left", "near left", "to the near wall", "near right")
 # Number of cameras that see a position at head height, 0 … 4 or more; two is the least that gives depth, three the
@@ -119,7 +116,7 @@ def camera_position_text(camera: Camera, room: Room) -> str:
 def _maps(cameras: Sequence[Camera], evaluator: RigEvaluator) -> tuple[list[list[str]], list[list[str]]]:
     """Colours of the cells [row from the far side][column] of both maps."""
     room = evaluator.room
-    step = max(room.size_m[:2]) / _CELLS
+    step = max(room.size_m[:2]) / 44
     counted = [max(round(size / step), 1) for size in room.size_m[:2]]
     x, y = (low + (np.arange(n) + 0.5) * size / n for low, size, n in zip(room.low_m, room.size_m[:2], counted))
     flat = np.stack(np.meshgrid(x, y[::-1]), axis=-1).reshape(-1, 2)
@@ -170,7 +167,7 @@ def _plan(
             camera.unproject(np.array([[0.0, camera.wh[1] / 2], [camera.wh[0], camera.wh[1] / 2]]), np.ones(2))[:, :2]
             - eye[:2]
         )
-        cone = eye[:2] + _CONE_M * edges / np.linalg.norm(edges, axis=1, keepdims=True)
+        cone = eye[:2] + 1.1 * edges / np.linalg.norm(edges, axis=1, keepdims=True)
         points = " ".join(f"{a:.1f},{b:.1f}" for a, b in (at(eye), at(cone[0]), at(cone[1])))
         parts.append(
             f'<polygon points="{points}" fill="#ffffff" fill-opacity="0.45" stroke="#2b2b2b" stroke-width="1"/>'
@@ -214,7 +211,8 @@ def _legend(left: float, top: float, entries: Sequence[tuple[str, str]]) -> list
             'stroke="#2b2b2b" stroke-width="0.5"/>'
         )
         parts.append(_text(x + 18, top, words, ""))
-        x += 18 + _CHARACTER_PX * len(words) + 14
+        # Mean width of a letter.
+        x += 18 + 7 * len(words) + 14
     return parts
 
 

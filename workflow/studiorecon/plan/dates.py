@@ -13,9 +13,6 @@ from pathlib import Path
 
 from studiorecon.errors import UserError
 
-# Clocks of file servers differ by less.
-_TOLERATED_S = 5.0
-
 
 def refuse_future(dataset: Path, results: Path, now_s: float) -> None:
     """Raises UserError for a file dated later than ``now_s`` (since 1970); names the latest and the remedy's command.
@@ -24,7 +21,8 @@ def refuse_future(dataset: Path, results: Path, now_s: float) -> None:
     """
     today = time.strftime("%Y%m%d%H%M", time.localtime(now_s))
     for folder, paths in ((dataset, _near(dataset, 2)), (results, _near(results, 8))):
-        dated = [(seconds, path) for path in paths if (seconds := path.lstat().st_mtime) > now_s + _TOLERATED_S]
+        # Clocks of file servers differ by less.
+        dated = [(seconds, path) for path in paths if (seconds := path.lstat().st_mtime) > now_s + 5.0]
         if dated:
             latest_s, latest = max(dated)
             date = time.strftime("%Y-%m-%d %H:%M", time.localtime(latest_s))

@@ -20,8 +20,6 @@ if TYPE_CHECKING:
 
 # Grey level of each class (measured, inferred, invented) in a truth video.
 TRUTH_LEVELS = np.array([255, 128, 0], np.uint8)
-# This many solid Gaussians within reach are a surface, fewer are floaters.
-_SOLID_GROUP = 10
 
 
 class PosedAvatar(Protocol):
@@ -113,4 +111,5 @@ def is_blocked(eyes_m: Float[np.ndarray, "E 3"], background: Gaussians, clearanc
     if len(solid) == 0 or clearance_m <= 0:
         return np.zeros(len(eyes_m), bool)
     near = scipy.spatial.cKDTree(solid).query_ball_point(np.asarray(eyes_m), clearance_m, return_length=True)
-    return np.asarray(near) >= _SOLID_GROUP
+    # This many solid Gaussians within reach are a surface, fewer are floaters.
+    return np.asarray(near) >= 10

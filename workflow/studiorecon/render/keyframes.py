@@ -19,9 +19,6 @@ from studiorecon.render.shots import usual_focal
 from studiorecon.scene.camera import Camera
 from studiorecon.scene.path import PathStep
 
-# Pictures from one camera to the next in a film without keys.
-_LEG = 30
-
 
 @dataclass(frozen=True)
 class Spline:
@@ -98,7 +95,8 @@ def from_camera_to_camera(cameras: Sequence[Camera], name: str) -> list[CameraKe
     azimuth = np.arctan2(offsets[:, 1], offsets[:, 0])
     order = np.argsort(np.mod(azimuth - azimuth[0], 2 * np.pi), kind="stable")
     eyes_m = [cameras[index].centre_m for index in order]
-    return [FreeKey(_LEG * place, (float(x), float(y), float(z))) for place, (x, y, z) in enumerate(eyes_m)]
+    # Pictures from one camera to the next in a film without keys.
+    return [FreeKey(30 * place, (float(x), float(y), float(z))) for place, (x, y, z) in enumerate(eyes_m)]
 
 
 def spline_steps(

@@ -31,8 +31,6 @@ if TYPE_CHECKING:
 
 NOBODY = "nobody"
 """In place of a person: the room without that person."""
-# Moments over which changes of the donor's colours are averaged.
-_MOMENTS = 8
 
 
 @dataclass(frozen=True)
@@ -49,7 +47,8 @@ def donor_from_avatar(person: Avatar) -> Donor:
     """A trained person as a donor; colours are averaged over the performance, whose times do not match another's."""
     own = person.gaussians
     there = np.flatnonzero(person.present)
-    moments = np.interp(np.linspace(0, len(there) - 1, _MOMENTS), np.arange(len(there)), there)
+    # Moments over which changes of the donor's colours are averaged.
+    moments = np.interp(np.linspace(0, len(there) - 1, 8), np.arange(len(there)), there)
     looks = [person.appearance_at(frame) for frame in (moments if person.network else [0])]
     sh, logits = (np.stack(values).mean(axis=0, dtype=np.float64) for values in zip(*looks))
     settled = Gaussians(own.means_m, own.quaternions, own.log_scales, logits, sh)

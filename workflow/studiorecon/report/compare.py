@@ -22,7 +22,6 @@ from studiorecon.scene.files import read_json, write_json
 
 _MUST_AGREE = ("masks", "libraries", "code", "settings")
 _PREFERRED = ("enhanced", "raw", "renders")
-_SAMPLES, _SEED = 2000, 0
 
 
 def read_result(path: Path) -> dict[str, Any]:
@@ -99,7 +98,7 @@ def compare(
         raise UserError(f"{next(iter(first))} and {next(iter(second))} have no scene in common: their photos differ")
     # A measure without values on both sides has no difference; it is listed with the values that exist.
     names = sorted(set.intersection(*(set(run) for scenes in sides for runs in scenes.values() for run in runs)))
-    bootstrap, result = Bootstrap(_SAMPLES, _SEED), {}
+    bootstrap, result = Bootstrap(2000, 0), {}
     for name in names:
         means = [{s: _seed_mean([run[name]["cameras"] for run in scenes[s]]) for s in common} for scenes in sides]
         paired = {s: (means[0][s], means[1][s]) for s in common}

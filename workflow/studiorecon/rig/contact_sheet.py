@@ -16,12 +16,9 @@ if TYPE_CHECKING:
     from jaxtyping import Integer, Num
 
 _TILE_H = 480
-_MARGIN = 28
 _INK, _PAPER = (30, 30, 30), 245
 _TRAINING, _HELD_OUT, _POINT = (200, 60, 30), (40, 90, 200), (20, 200, 60)
 _KEYPOINT = (255, 40, 160)
-_FRUSTUM_SHARE = 0.18
-_WIDEST = 1900
 
 
 def contact_sheet(
@@ -53,7 +50,7 @@ def _in_rows(tiles: Sequence[np.ndarray]) -> np.ndarray:
     """Tiles of one height, in rows that fit a screen."""
     rows: list[list[np.ndarray]] = [[]]
     for tile in tiles:
-        if rows[-1] and sum(t.shape[1] for t in rows[-1]) + tile.shape[1] > _WIDEST:
+        if rows[-1] and sum(t.shape[1] for t in rows[-1]) + tile.shape[1] > 1900:
             rows.append([])
         rows[-1].append(tile)
     width = max(sum(t.shape[1] for t in row) for row in rows)
@@ -100,7 +97,7 @@ def _from_above(training: Sequence[Camera], held_out: Sequence[Camera], points_m
         for camera in cameras:
             corners = camera.unproject(
                 np.array([[0.0, camera.wh[1] / 2], [camera.wh[0], camera.wh[1] / 2]]),
-                np.full(2, _FRUSTUM_SHARE * extent),
+                np.full(2, 0.18 * extent),
             )
             outline = np.array([place(camera.centre_m[:2]), *(place(c[:2]) for c in corners)], dtype=np.int32)
             cv2.polylines(tile, [outline], True, colour, 1, cv2.LINE_AA)
@@ -110,6 +107,6 @@ def _from_above(training: Sequence[Camera], held_out: Sequence[Camera], points_m
 
 
 def _add_label(tile: np.ndarray, text: str) -> np.ndarray:
-    band = np.full((_MARGIN, tile.shape[1], 3), 255, dtype=np.uint8)
+    band = np.full((28, tile.shape[1], 3), 255, dtype=np.uint8)
     cv2.putText(band, text, (6, 19), cv2.FONT_HERSHEY_SIMPLEX, 0.45, _INK, 1, cv2.LINE_AA)
     return np.concatenate([band, tile], axis=0)

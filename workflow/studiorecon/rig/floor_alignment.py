@@ -24,7 +24,6 @@ from studiorecon.scene.camera import Camera
 if TYPE_CHECKING:
     from jaxtyping import Num
 
-_ROUNDS = 10
 # Number of parts that are left out in turn to estimate the floor's uncertainty.
 _PARTS = 10
 _MIN = 30
@@ -75,7 +74,7 @@ def _plane(points_m: np.ndarray, height_m: np.ndarray) -> np.ndarray:
     design = np.column_stack([points_m[:, :2] - middle, np.ones(len(points_m))])
     weight = np.ones(len(points_m))
     found: np.ndarray = np.zeros(3)
-    for _ in range(_ROUNDS):
+    for _ in range(10):
         # An undetermined slope (one spot, a line) stays 0.
         found = np.linalg.lstsq(design * weight[:, None], height_m * weight, rcond=1e-2)[0]
         rest = np.abs(height_m - design @ found)

@@ -34,7 +34,6 @@ if TYPE_CHECKING:
 _MIN_POINTS = 60
 _MIN_HALF = 20
 _MAX_UNITS = 3.0
-_ROUNDS = 15
 _STEP = 1e-6
 # RANSAC's threshold, in error units, wide because the pose is refined afterwards.
 _LOOSE = 3.0
@@ -176,7 +175,7 @@ def _fit_pose(start: Camera, given: Camera, seen: ObservedJoints, unit: float, r
         prior = np.concatenate([log(turned @ given.camera_from_world[:3, :3].T), at - given.centre_m]) / sigma
         return _units(move_camera(given, turned, at), seen, unit), prior
 
-    for _ in range(_ROUNDS):
+    for _ in range(15):
         off, prior = residuals(np.zeros(6))
         robust = np.sqrt(weight / np.maximum(np.linalg.norm(off, axis=-1), 1.0))
         columns = [residuals(_STEP * axis) for axis in np.eye(6)]

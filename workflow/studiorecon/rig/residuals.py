@@ -32,8 +32,6 @@ _REACH = len(_DERIVATIVE) // 2
 # metres). Wide for the estimated effects; the calibration's own errors for the pose, so that they do not appear as a
 # lens.
 _PRIOR = np.array([10.0, 3.0, 1.0, *[np.radians(0.3)] * 3, *[0.01] * 3])
-# Index of the readout among them.
-_READOUT = 1
 _HUBER, _ROUNDS = 2.0, 4
 # Fewer points or moments give no estimate.
 _MIN_POINTS, _MIN_MOMENTS = 60, 8
@@ -69,7 +67,8 @@ def readouts_from_residuals(
         nothing = np.full(len(cameras), np.nan)
         return Readouts(nothing, nothing, (np.nan, np.nan), np.nan, system)
     solution, covariance = _solve(system)
-    place = np.arange(len(cameras)) * len(_PRIOR) + _READOUT
+    # Index of the readout among them.
+    place = np.arange(len(cameras)) * len(_PRIOR) + 1
     return Readouts(solution[place], np.sqrt(np.diag(covariance))[place], system.speed_px, system.rows)
 
 

@@ -19,7 +19,7 @@ if TYPE_CHECKING:
     from jaxtyping import Float
 
 UNOWNED = 255  # mask value of moving objects that are not people: ball and stick
-_BALL_RADIUS_M, _BALL_PEAK_M, _BALL_PERIOD_S = 0.12, 0.95, 0.82
+_BALL_RADIUS_M = 0.12
 _STICK_RADIUS_M, _STICK_LENGTH_M = 0.016, 0.9
 _LEFT_HAND = 22
 _FEET = (7, 8, 10, 11)
@@ -123,8 +123,8 @@ class Actors:
 
 def _ball(time_s: float) -> Mesh:
     """A ball that bounces in place between the people: free fall between exact bounces."""
-    phase = (time_s / _BALL_PERIOD_S + 0.3) % 1
-    height = _BALL_RADIUS_M + _BALL_PEAK_M * 4 * phase * (1 - phase)
+    phase = (time_s / 0.82 + 0.3) % 1
+    height = _BALL_RADIUS_M + 0.95 * 4 * phase * (1 - phase)
     across = abs((time_s / 3.0 + 0.2) % 2 - 1) * 1.6 - 0.4
     return sphere("ball", _BALL_RADIUS_M, np.array([across, -1.45, height]), _beach_ball)
 

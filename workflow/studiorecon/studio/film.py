@@ -21,7 +21,7 @@ if TYPE_CHECKING:
     from jaxtyping import Bool, Float, Integer
 
 _NEAR_M = 0.05
-_CONTACT_REACH_M, _CONTACT_HEIGHT_M, _CONTACT_DEPTH = 0.10, 0.07, 0.75
+_CONTACT_REACH_M = 0.10
 
 
 @dataclass
@@ -182,7 +182,7 @@ def contact_shade(
     shade = np.ones(len(points_m))
     for sole in soles_m.reshape(-1, 3):
         away = np.sum((points_m[:, :2] - sole[:2]) ** 2, axis=1) / _CONTACT_REACH_M**2
-        shade *= 1 - _CONTACT_DEPTH * strength * np.exp(-away - max(float(sole[2]), 0.0) / _CONTACT_HEIGHT_M)
+        shade *= 1 - 0.75 * strength * np.exp(-away - max(float(sole[2]), 0.0) / 0.07)
     return shade
 
 

@@ -18,7 +18,6 @@ STANCE = 0.62  # share of a stride during which a foot is down
 _MIDDLE = STANCE / 2
 _TOE_OFF_RAD = np.radians(34)
 _HEEL_STRIKE_RAD = np.radians(14)
-_LIFT_M = 0.045
 
 
 @dataclass(frozen=True)
@@ -87,7 +86,7 @@ def foot_track(clock: Float[np.ndarray, " T"], phase: float, stride_m: float, pa
     return FootTrack(
         distance_m=here + (after - here) * _ease(swing),
         pitch_rad=strike + push + reach,
-        lift_m=_LIFT_M * coming * np.sin(np.pi * swing) ** 2,
+        lift_m=0.045 * coming * np.sin(np.pi * swing) ** 2,
         amplitude=np.where(within < STANCE / 2, landed, coming),
     )
 

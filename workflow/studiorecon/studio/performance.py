@@ -19,7 +19,6 @@ if TYPE_CHECKING:
     from jaxtyping import Float
 
 NEVER = float("inf")
-_HALF_STEP_M = 0.085  # distance of the feet from the path
 _TOE_OUT_RAD = np.radians(6)
 _SQUAT_M, _SQUAT_BACK_M, _SQUAT_LEAN_RAD = 0.40, 0.19, np.radians(36)
 _LEFT, _UP, _FORWARD = np.eye(3)
@@ -152,7 +151,8 @@ def _feet(
     ankles, frames, toes = [], [], []
     for side, (track, ankle, toe) in enumerate(zip(feet, (7, 8), (10, 11))):
         sign = (1, -1)[side]
-        print_m, heading = part.path.at(track.distance_m, sign * _HALF_STEP_M)
+        # Distance of the feet from the path.
+        print_m, heading = part.path.at(track.distance_m, sign * 0.085)
         flat = _upright(heading + sign * _TOE_OUT_RAD)
         down = sole_height - rest[ankle, 1]
         ball = np.array([0.0, down, rest[toe, 2] - rest[ankle, 2]])

@@ -14,8 +14,6 @@ from studiorecon.studio.description import Description
 if TYPE_CHECKING:
     from jaxtyping import Float, Integer
 
-_GAMMA = 2.2
-
 
 @dataclass(frozen=True)
 class Sensor:
@@ -48,7 +46,7 @@ def camera_sensor(description: Description, name: str) -> Sensor:
 
 def develop(radiance: Float[np.ndarray, "H W 3"], sensor: Sensor, frame: int) -> Integer[np.ndarray, "H W 3"]:
     """Picture of a radiance map: gamma 2.2, then the gains, then noise that depends on the frame number."""
-    picture = np.clip(radiance.astype(np.float32), 0, 1) ** np.float32(1 / _GAMMA)
+    picture = np.clip(radiance.astype(np.float32), 0, 1) ** np.float32(1 / 2.2)
     picture = picture * np.asarray(sensor.gains, dtype=np.float32)
     if sensor.noise_levels > 0:
         rng = np.random.default_rng([*sensor.seed, frame])

@@ -37,9 +37,6 @@ from studiorecon.studio.tracing import Tracer
 from studiorecon.studio.truth import TruthFrames
 
 LAYOUT = "body_25"
-# Most rays of the cameras whose empty rooms one process stores: each takes 34 bytes.
-_MAX_RAYS = 8_000_000
-_LISTEN_S = 0.2
 
 
 @dataclass(frozen=True)
@@ -56,7 +53,8 @@ class Films:
 def share_takes(description: Description, lenses: Sequence[Lens], processes: int) -> list[list[Lens]]:
     """Lenses in takes of one clock each, no larger than a process's share or memory, the largest first."""
     rays = description.size[0] * description.size[1] * description.supersampling**2
-    most = max(1, min(-(-len(lenses) // processes), _MAX_RAYS // rays))
+    # Most rays of the cameras whose empty rooms one process stores: each takes 34 bytes.
+    most = max(1, min(-(-len(lenses) // processes), 8_000_000 // rays))
     of_clock: dict[float, list[Lens]] = {}
     for lens in lenses:
         of_clock.setdefault(rig.sync_offsets_frames(description)[lens.name], []).append(lens)
@@ -87,7 +85,7 @@ def _receive(done: multiprocessing.Queue[int], takes: Sequence[Future[None]]) ->
         for take in ended:
             take.result()
         try:
-            yield from (None for _ in range(done.get(timeout=_LISTEN_S)))
+            yield from (None for _ in range(done.get(timeout=0.2)))
         except queue.Empty:
             if not running:
                 return

@@ -18,10 +18,7 @@ if TYPE_CHECKING:
     from jaxtyping import Bool, Float, Integer, Shaped
 
 POINTS_PER_LAMP = 16
-_LAMP_WEIGHT = 9.4
-_AMBIENT = 0.24
 _SKIN_M = 2e-3  # shadow rays start this far off the surface, so that it does not shade itself
-_TO_THE_TARGET = 0.999  # shadow rays end at this share of their way, so that the target does not block itself
 
 
 @dataclass(frozen=True)
@@ -79,7 +76,8 @@ class Tracer:
         self, origins_m: Float[np.ndarray, "... 3"], targets_m: Float[np.ndarray, "... 3"]
     ) -> Bool[np.ndarray, " N"]:
         """Whether a solid is between the points and their targets."""
-        return self._scene.run(*_rays(origins_m, targets_m - origins_m), _TO_THE_TARGET, query="OCCLUDED") >= 0
+        # Shadow rays end at this share of their way, so that the target does not block itself.
+        return self._scene.run(*_rays(origins_m, targets_m - origins_m), 0.999, query="OCCLUDED") >= 0
 
 
 def lamp_points(subset: int, subsets: int) -> Float[np.ndarray, "M 4"]:
@@ -120,12 +118,12 @@ def lamp_gain(
     towards = lamp_m - points_m
     squared = np.einsum("ij,ij->i", towards, towards)
     cosines = np.einsum("ij,ij->i", towards, normals) * towards[:, 2]
-    return 2 * _LAMP_WEIGHT * np.maximum(cosines, 0) / (squared * (squared + 0.3))
+    return 2 * 9.4 * np.maximum(cosines, 0) / (squared * (squared + 0.3))
 
 
 def ambient_light(points_m: Float[np.ndarray, "N 3"], normals: Float[np.ndarray, "N 3"]) -> Float[np.ndarray, " N"]:
     """Light reflected by the room: brighter on upward surfaces, darker in edges and corners (closed form, no rays)."""
-    light = _AMBIENT * (1 + 0.22 * normals[:, 2])
+    light = 0.24 * (1 + 0.22 * normals[:, 2])
     for axis, half in ((0, HALF_X_M), (1, HALF_Y_M)):
         gap = np.minimum(half - points_m[:, axis], half + points_m[:, axis])
         light = light * (1 - 0.32 * np.exp(-np.maximum(gap, 0) / 0.28) * (1 - np.abs(normals[:, axis])))

@@ -21,8 +21,6 @@ from studiorecon.studio.tracing import Tracer
 if TYPE_CHECKING:
     from jaxtyping import Bool
 
-_DEPTH_UNITS_PER_M = 1000
-
 
 class TruthFrames:
     """Collects the truth of one camera frame by frame.
@@ -65,7 +63,7 @@ class TruthFrames:
         if self.options.depth_frames:
             depth = self.room_depth_m.ravel().astype(np.float64)
             depth[covered] = hits.distance
-            self.depths.append(np.rint(depth * _DEPTH_UNITS_PER_M).astype(np.uint16).reshape(self._shape))
+            self.depths.append(np.rint(depth * 1000).astype(np.uint16).reshape(self._shape))
         if self.options.flow and following is not None:
             flow = np.zeros((mask.size, 2))
             weights = np.column_stack([1 - hits.barycentric.sum(axis=1), hits.barycentric])

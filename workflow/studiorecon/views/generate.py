@@ -24,8 +24,6 @@ from studiorecon.views.warp_settings import ViewSource
 if TYPE_CHECKING:
     from jaxtyping import Integer, Shaped
 
-_FPS = 24.0
-
 
 @dataclass(frozen=True)
 class Gen3cSettings:
@@ -84,4 +82,4 @@ def run(settings: Settings, requests: list[Path], films: list[Written], weights:
     network = load("view synthesizer", settings.synthesizer, weights, "cuda", **asdict(settings.gen3c))
     for request, film in zip(contents, films):
         say(f"{film.name}: {len(request['w2cs_all'])} views, {settings.gen3c.steps} steps, seed {settings.gen3c.seed}")
-        write_lossless(film, request_frames(network, request), _FPS)
+        write_lossless(film, request_frames(network, request), 24.0)

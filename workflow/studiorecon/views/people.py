@@ -21,9 +21,6 @@ from studiorecon.signature import Place, Written
 if TYPE_CHECKING:
     from jaxtyping import Integer
 
-_FPS = 24.0
-_SOMEBODY = 255
-
 
 def person_mask(
     maps: Iterable[Integer[np.ndarray, "H W"]], shares: list[float]
@@ -32,7 +29,7 @@ def person_mask(
     for labels in maps:
         people = labels > 0
         shares.append(float(people.mean()))
-        yield np.where(people, _SOMEBODY, 0).astype(np.uint8)
+        yield np.where(people, 255, 0).astype(np.uint8)
 
 
 def run(segment: str, film: Path, network: str, chunk: int, weights: Place, device: str, people: Written) -> None:
@@ -40,5 +37,5 @@ def run(segment: str, film: Path, network: str, chunk: int, weights: Place, devi
     segmenter = load("person segmenter", network, weights, device, chunk=chunk, prompt="person")
     shares: list[float] = []
     pictures = progress(read_frames(film), f"views of segment {segment}")
-    write_lossless(people, person_mask(segmenter.segment(pictures), shares), _FPS)
+    write_lossless(people, person_mask(segmenter.segment(pictures), shares), 24.0)
     say(f"segment {segment}: {card_of(network).title} sees people in {np.mean(shares):.1%} of {len(shares)} views")

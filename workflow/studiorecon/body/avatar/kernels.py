@@ -13,7 +13,6 @@ import numpy as np
 
 # Real SH constants of degree 2 in the order and with the signs of the 3DGS file format.
 _C2 = (1.0925484305920792, -1.0925484305920792, 0.31539156525252005, -1.0925484305920792, 0.5462742152960396)
-_COLLAPSED = 1e-6  # determinant below which a blend has no usable polar rotation
 # No reassociation: the same inputs give the same bytes.
 _KERNEL: dict[str, Any] = {"cache": True, "error_model": "numpy", "fastmath": {"nsz", "contract"}}
 
@@ -29,7 +28,8 @@ def _polar(m):
     for _ in range(40):
         ca, cb, cc = e * i - f * h, f * g - d * i, d * h - e * g
         determinant = a * ca + b * cb + c * cc
-        if not determinant > _COLLAPSED:
+        # Determinant below which a blend has no usable polar rotation.
+        if not determinant > 1e-6:
             return (1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0), False
         half = 0.5 / determinant
         na, nb, nc = 0.5 * a + half * ca, 0.5 * b + half * cb, 0.5 * c + half * cc

@@ -26,9 +26,6 @@ from studiorecon.geometry import rotations
 if TYPE_CHECKING:
     from jaxtyping import Num
 
-# Weight of no turn, as a share of the lever arms' sum of squares; it decides only turns that the points do not
-# determine.
-_STAY = 1e-9
 # Frames are fitted together as long as the joints' parts of their points fit here (numbers; 320 MB each array).
 _AT_ONCE = 40_000_000
 
@@ -147,7 +144,9 @@ def _turn_joints(model: PointModel, pose: _Pose, targets: np.ndarray, seen: np.n
         wanted = targets - (points - below)
         # Weighted by the joint's share in moving a point: 0 for all points above it.
         moment = np.swapaxes(wanted * seen[..., None], 1, 2) @ below
-        moment += _STAY * np.einsum("fk,fkx,fkx->f", seen, below, below)[:, None, None] * np.eye(3) + 1e-12 * np.eye(3)
+        # Weight of no turn, as a share of the lever arms' sum of squares; it decides only turns that the points do not
+        # determine.
+        moment += 1e-9 * np.einsum("fk,fkx,fkx->f", seen, below, below)[:, None, None] * np.eye(3) + 1e-12 * np.eye(3)
         turned = rotations.project_to_so3(moment) @ world[:, joint]
         parent = model.body.parents[joint]
         # Projected again: rounding would double with every joint down the tree and break a long descent (R18).

@@ -24,8 +24,6 @@ if TYPE_CHECKING:
 SHARED_M = 0.015
 # The shared error is another one when a body is seen from this much further round.
 SIDES = 6
-# A few per cent of joints are elsewhere.
-_FREEDOM = 4.0
 # A point behind its camera counts as this near before it, metres: a step may not divide by 0.
 _NEAR_M = 0.05
 
@@ -60,7 +58,8 @@ def keypoint_factor(
     aspect: Num[np.ndarray, " V"],
 ) -> Keypoints:
     """The factor of observations of ``point`` by ``view``."""
-    return Keypoints(point_columns(unknowns, view, point), _FREEDOM, view, pixels, sigma_px, aspect[view])
+    # A few per cent of joints are elsewhere.
+    return Keypoints(point_columns(unknowns, view, point), 4.0, view, pixels, sigma_px, aspect[view])
 
 
 def viewing_sides(across: Num[np.ndarray, "M 3"]) -> Integer[np.ndarray, " M"]:

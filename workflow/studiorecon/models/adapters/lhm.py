@@ -77,8 +77,6 @@ CARDS = (CARD,)
 
 MIN_PX = 300
 """Smallest height of the person in the photo: below it a face is a few pixels."""
-_MARGIN = 0.05
-_WHITE = 255
 _LOWER = "use another canonical .ply (a trained person of another capture)"
 # Range of metres from sole to crown of a body in its rest pose, with arms below the head.
 _HEIGHTS_M = (1.2, 2.3)
@@ -108,10 +106,10 @@ def preprocess(photo: Integer[np.ndarray, "H W 3"], mask: Bool[np.ndarray, "H W"
         )
     if width >= height:
         raise UserError(f"the person is {width}×{height} px: LHM needs an upright person; choose another frame")
-    full_h = round(height * (1 + 2 * _MARGIN))
+    full_h = round(height * (1 + 2 * 0.05))
     full_w = max(round(full_h / 1.25) - 1, width + 2)
     full_h = max(full_h, round(full_w * 1.25))
-    white = np.full((full_h, full_w, 3), _WHITE, np.uint8)
+    white = np.full((full_h, full_w, 3), 255, np.uint8)
     row, column = (full_h - height) // 2, (full_w - width) // 2
     inside = white[row : row + height, column : column + width]
     inside[mask[top:bottom, left:right]] = photo[top:bottom, left:right][mask[top:bottom, left:right]]

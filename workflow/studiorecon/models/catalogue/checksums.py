@@ -13,7 +13,6 @@ from studiorecon.errors import UserError
 from studiorecon.models.catalogue.card import WeightFile
 
 PINS = "checksums.json"
-_BLOCK = 1 << 22
 
 
 def digest(file: Path, algorithm: str = "sha256") -> str:
@@ -22,7 +21,7 @@ def digest(file: Path, algorithm: str = "sha256") -> str:
 
     total = hashlib.new(algorithm)
     with open(file, "rb") as stream:
-        while block := stream.read(_BLOCK):
+        while block := stream.read(1 << 22):
             total.update(block)
     return total.hexdigest()
 

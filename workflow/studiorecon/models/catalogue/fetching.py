@@ -20,8 +20,6 @@ from studiorecon.models.catalogue.checksums import git_blob_hash
 from studiorecon.models.catalogue.sandbox import allow_fetching
 from studiorecon.progress import warn
 
-_PATIENCE_S = 60.0
-
 
 def fetch(file: WeightFile, folder: Path) -> str:
     """The SHA-256 that its publisher states, or "", of a file that is put into ``folder``.
@@ -181,7 +179,7 @@ def _download(address: str, partial: Path) -> None:
     have = partial.stat().st_size if partial.exists() else 0
     request = urllib.request.Request(address, headers={"Range": f"bytes={have}-"} if have else {})
     try:
-        with urllib.request.urlopen(request, timeout=_PATIENCE_S) as answer:
+        with urllib.request.urlopen(request, timeout=60.0) as answer:
             # A server without range requests sends everything again.
             goes_on = answer.status == http.HTTPStatus.PARTIAL_CONTENT
             whole = int(answer.headers.get("Content-Length") or 0) + (have if goes_on else 0)

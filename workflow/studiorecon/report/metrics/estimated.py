@@ -29,7 +29,6 @@ if TYPE_CHECKING:
     from jaxtyping import Bool
 
 SOURCE = "fitted bodies, and the run's own depth"
-_UNITS_PER_M = 1000  # of the rendered depth film
 
 
 @dataclass(frozen=True)
@@ -65,7 +64,8 @@ def estimated_regions(
     masks = {path.stem: read_frames(path, 0, frames) for path in files.room_masks}
     height, width = camera.hw
     for frame, units in enumerate(read_frames_from(files.film_depth[0], start, start + frames)):
-        depth_m = units[:height, :width].astype(np.float64) / _UNITS_PER_M
+        # Of the rendered depth film.
+        depth_m = units[:height, :width].astype(np.float64) / 1000
         people_here = np.zeros(camera.hw, bool)
         for person in (one for one in people if one.present[frame]):
             assert body is not None

@@ -32,8 +32,6 @@ if TYPE_CHECKING:
 _PROPS = 255
 # The second variant of the people mask, 10 px wider all around, includes the silhouettes (evaluation 1.2).
 WIDE_PX = 21
-# The studio stores depth with people in whole millimetres.
-_DEPTH_UNITS_PER_M = 1000
 
 
 @dataclass(frozen=True)
@@ -185,4 +183,5 @@ def _depth_frames(
     if not all(path.is_file() for path in paths):
         return None
     streams = zip(*(read_frames(path, start, stop) for path in paths))
-    return ([depth.astype(np.float32) / _DEPTH_UNITS_PER_M for depth in depths] for depths in streams)
+    # The studio stores depth with people in whole millimetres.
+    return ([depth.astype(np.float32) / 1000 for depth in depths] for depths in streams)
