@@ -83,15 +83,8 @@ def describe_scene(
     for thing in scene.things:
         own, order = pack_gaussians(held, thing.gaussians, thing.provenance)
         single = np.zeros((thing.gaussians.count, 1), np.uint8), np.ones((thing.gaussians.count, 1))
-        sets.append(
-            {
-                "name": thing.person,
-                "kind": "thing",
-                **own,
-                "motion": pack_rigid_motion(held, thing, times),
-                **pack_skin(held, *single),
-            }
-        )
+        own |= {"motion": pack_rigid_motion(held, thing, times)} | pack_skin(held, *single)
+        sets.append({"name": thing.person, "kind": "thing", **own})
     return {
         "scene": scene.name,
         "frames": frames,

@@ -47,7 +47,7 @@ def fit_room_box(pictures: list[Picture], votes: Votes, yaw_rad: float, floor_m:
     A default wall is ``far_m`` beyond the cameras, the default ceiling at ``ceiling_default_m`` above the floor (at
     least a metre above the highest camera): an open place has no walls, which ``fitted`` records.
     """
-    how = _matching(settings)
+    how, placing = _matching(settings), (_PLACING_SPAN_M, _PLACING_STEP_M)
     count = votes.count()
     least = settings.wall_votes * sum(c.size for c in votes.chosen)
     centres = np.stack([p.camera.centre_m for p in pictures])
@@ -65,9 +65,8 @@ def fit_room_box(pictures: list[Picture], votes: Votes, yaw_rad: float, floor_m:
     # Every pixel on a wall takes part, not only its voters: those were chosen by the yaw that is to be tested.
     looks = [p.textured(settings.window) & p.known for p in pictures]
     for span_rad, step_rad in _YAW_SEARCH_RAD:
-        box = replace(
-            start, yaw_rad=yaw_rad + turn, low_m=centres.min(0) - settings.far_m, high_m=centres.max(0) + settings.far_m
-        )
+        far_m = centres.min(0) - settings.far_m, centres.max(0) + settings.far_m
+        box = replace(start, yaw_rad=yaw_rad + turn, low_m=far_m[0], high_m=far_m[1])
         for face, plane in turned.items():
             (box.low_m, box.high_m)[face % 2][face // 2] = plane[3]
         faces = [box.intersect(*p.camera.rays())[1] for p in pictures]
@@ -85,12 +84,9 @@ def fit_room_box(pictures: list[Picture], votes: Votes, yaw_rad: float, floor_m:
         if face in walls:
             reach_m = _VOTER_REACH_M + _HALF_WALL_M * abs(np.sin(turn))
             voters = votes.voters(start.axes[axis], walls[face], reach_m)
-            begin = room.offset_of_turned_plane(
-                pictures, voters, np.array([*start.axes[axis], walls[face]]), axes[axis], how
-            )
-            offset, score[face] = room.place_plane(
-                pictures, voters, axes[axis], begin, _PLACING_SPAN_M, _PLACING_STEP_M, how
-            )
+            plane = np.array([*start.axes[axis], walls[face]])
+            begin = room.offset_of_turned_plane(pictures, voters, plane, axes[axis], how)
+            offset, score[face] = room.place_plane(pictures, voters, axes[axis], begin, *placing, how)
             fitted[face] = True
         (low, high)[face % 2][axis] = offset
     voters = votes.voters(axes[2], floor_m, 0.06)
@@ -100,7 +96,7 @@ def fit_room_box(pictures: list[Picture], votes: Votes, yaw_rad: float, floor_m:
     top = found(5, 0.2)
     if top is not None:
         voters = votes.voters(axes[2], top, _VOTER_REACH_M)
-        high[2], score[5] = room.place_plane(pictures, voters, axes[2], top, _PLACING_SPAN_M, _PLACING_STEP_M, how)
+        high[2], score[5] = room.place_plane(pictures, voters, axes[2], top, *placing, how)
         fitted[5] = True
     # A face with too few voters to score it is a default, and a default has no score.
     fitted &= np.isfinite(score)

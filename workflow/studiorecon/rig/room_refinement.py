@@ -113,11 +113,10 @@ def refine_on_room(
         return None
     people_px = [error_medians(c, seen, limits)[0] if len(seen.frame) else np.nan for c in (cameras, current)]
     floor = [marks.error_sigmas(c, limits) if marks is not None else np.nan for c in (cameras, current)]
+    pairs = {} if marks is None else marks.seen_by
     report = {
         "places": 0 if marks is None else int(marks.pixels.shape[1]),
-        "pairs": {}
-        if marks is None
-        else {f"{cameras[a].name} {cameras[b].name}": n for (a, b), n in marks.seen_by.items()},
+        "pairs": {f"{cameras[a].name} {cameras[b].name}": n for (a, b), n in pairs.items()},
         "along_edges": {cameras[v].name: turn.along for v, turn in turns.items()},
         "off_sigmas_before": floor[0],
         "off_sigmas_after": floor[1],
@@ -130,14 +129,8 @@ def refine_on_room(
     unsaid = np.zeros(result.sigma.shape[1])
     unsaid[:3], unsaid[3:6] = np.radians(_UNSAID_BY_EDGES_DEG if marks is None else _UNSAID_DEG), _UNSAID_M
     result = replace(result, sigma=np.hypot(result.sigma, unsaid))
-    return RoomRefinement(
-        current,
-        marks,
-        result,
-        {**report, "explained": bool(fits_people), "believed": is_required},
-        bool(fits_people),
-        is_required,
-    )
+    report |= {"explained": bool(fits_people), "believed": is_required}
+    return RoomRefinement(current, marks, result, report, bool(fits_people), is_required)
 
 
 def edge_rotations(cameras: Sequence[Camera], rooms: Sequence[RoomPicture | None]) -> dict[int, RoomTurn]:

@@ -223,13 +223,9 @@ def fit_primitives(
         evidence.append(gain)
         room.add(platform)
     taken = np.concatenate([append_distance(room.centre, _CLEARANCE_M), free_m])
-    proposals = np.array(
-        [
-            primitive
-            for source in (top_proposals, front_proposals, single_view_proposals)
-            for _, primitive in source(room, room_box)
-        ]
-    ).reshape(-1, 7)
+    sources = (top_proposals, front_proposals, single_view_proposals)
+    found = [primitive for source in sources for primitive in source(room, room_box)]
+    proposals = np.array(found).reshape(-1, 7)
     proposals = proposals[is_allowed(proposals, room_box, taken)]
     others, legs = Proposals(least_gain / 2), Proposals(least_gain / 2)
     others.keep(zip(proposals, room.gains(proposals)))

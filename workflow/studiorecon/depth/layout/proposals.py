@@ -130,8 +130,8 @@ def search_bounds(room: PhotoCostVolume, room_box: RoomBox) -> tuple[Float[np.nd
     return low, high
 
 
-def top_proposals(room: PhotoCostVolume, room_box: RoomBox) -> Iterator[tuple[float, Float[np.ndarray, " 7"]]]:
-    """(sum, primitive (7,)) of boxes and slabs under every rectangle in plan that matches."""
+def top_proposals(room: PhotoCostVolume, room_box: RoomBox) -> Iterator[Float[np.ndarray, " 7"]]:
+    """Primitives (7,): boxes and slabs under every rectangle in plan that matches."""
     low_m, high_m = search_bounds(room, room_box)
     middle, size = (low_m + high_m)[:2] / 2, (high_m - low_m)[:2]
     sides = tuple(round(s / _CELL_M) for s in _SIDES_M)
@@ -151,28 +151,16 @@ def top_proposals(room: PhotoCostVolume, room_box: RoomBox) -> Iterator[tuple[fl
                 value, cv2.getRotationMatrix2D((half, half), -np.degrees(yaw), 1.0), value.shape, borderValue=-0.5
             )
             c, s = np.cos(yaw), np.sin(yaw)
-            for total, top, left, rows, columns in best_rectangles(turned, sides, standing=False):
+            for _, top, left, rows, columns in best_rectangles(turned, sides, standing=False):
                 a, b = (top + (rows - 1) / 2 - half) * _CELL_M, (left + (columns - 1) / 2 - half) * _CELL_M
                 at = np.array([middle[0] + c * a - s * b, middle[1] + s * a + c * b, 0]) @ room_box.axes
                 for low in (0.0, height - _SLAB_M):
-                    yield (
-                        total,
-                        np.array(
-                            [
-                                at[0],
-                                at[1],
-                                room_box.yaw_rad + yaw,
-                                rows * _CELL_M,
-                                columns * _CELL_M,
-                                room_box.low_m[2] + low,
-                                room_box.low_m[2] + height,
-                            ]
-                        ),
-                    )
+                    size_m, z_m = (rows * _CELL_M, columns * _CELL_M), room_box.low_m[2] + np.array([low, height])
+                    yield np.array([at[0], at[1], room_box.yaw_rad + yaw, *size_m, *z_m])
 
 
-def front_proposals(room: PhotoCostVolume, room_box: RoomBox) -> Iterator[tuple[float, Float[np.ndarray, " 7"]]]:
-    """(sum, primitive (7,)) of boxes behind every rectangle in elevation that matches."""
+def front_proposals(room: PhotoCostVolume, room_box: RoomBox) -> Iterator[Float[np.ndarray, " 7"]]:
+    """Primitives (7,): boxes behind every rectangle in elevation that matches."""
     low_m, high_m = search_bounds(room, room_box)
     sides = tuple(round(s / _CELL_M) for s in _SIDES_M)
     heights = room_box.low_m[2] + np.arange(
@@ -188,7 +176,7 @@ def front_proposals(room: PhotoCostVolume, room_box: RoomBox) -> Iterator[tuple[
             local[..., axis], local[..., other], local[..., 2] = offset, along, heights[:, None]
             value = agreement_gain(room, local @ room_box.axes, outward)
             back = abs(offset - wall)
-            for total, _, left, rows, columns in best_rectangles(value, sides, standing=True):
+            for _, _, left, rows, columns in best_rectangles(value, sides, standing=True):
                 for depth in (
                     (back,) if back <= _DEPTHS_M[0] else ((back, *_DEPTHS_M) if back <= _TO_WALL_M else _DEPTHS_M)
                 ):
@@ -196,23 +184,12 @@ def front_proposals(room: PhotoCostVolume, room_box: RoomBox) -> Iterator[tuple[
                     at[axis], at[other] = offset - side * depth / 2, along[left] + (columns - 1) / 2 * _CELL_M
                     size[axis], size[other] = depth, columns * _CELL_M
                     at = at @ room_box.axes
-                    yield (
-                        total,
-                        np.array(
-                            [
-                                at[0],
-                                at[1],
-                                room_box.yaw_rad,
-                                *size,
-                                room_box.low_m[2],
-                                room_box.low_m[2] + rows * _CELL_M,
-                            ]
-                        ),
-                    )
+                    low = room_box.low_m[2]
+                    yield np.array([at[0], at[1], room_box.yaw_rad, *size, low, low + rows * _CELL_M])
 
 
-def single_view_proposals(room: PhotoCostVolume, room_box: RoomBox) -> Iterator[tuple[float, Float[np.ndarray, " 7"]]]:
-    """(area, primitive) of regions seen by one camera that differ from wall and floor behind, on their lowest point."""
+def single_view_proposals(room: PhotoCostVolume, room_box: RoomBox) -> Iterator[Float[np.ndarray, " 7"]]:
+    """Primitives (7,): regions seen by one camera that differ from wall and floor behind, on their lowest point."""
     for v in range(len(room.known)):
         alone = room.known[v] & (room.cost[v] >= UNSEEN) & (room.surface[v] < 6)
         unlike = (alone & (room.foreground_log_odds[v] > _UNLIKE)).astype(np.uint8)
@@ -237,7 +214,7 @@ def single_view_proposals(room: PhotoCostVolume, room_box: RoomBox) -> Iterator[
                 at = room.centre[v, :2] + z * ray[:2] + ahead * side / 2
                 over = room.pose[v, :, :3].T @ np.array([(column + 0.5 - cx) / fx, (top - cy) / fy, 1.0])
                 high = room_box.high_m[2] if top <= 1 else min(room.centre[v, 2] + z * over[2], room_box.high_m[2])
-                yield float(area), np.array([*at, room_box.yaw_rad, side, side, room_box.low_m[2], high])
+                yield np.array([*at, room_box.yaw_rad, side, side, room_box.low_m[2], high])
 
 
 def leg_candidates(slab: Float[np.ndarray, " 7"], floor_m: float) -> Float[np.ndarray, "N 7"]:
