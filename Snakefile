@@ -78,16 +78,14 @@ rule all:
         # The room and every person as Gaussians.
         collect("results/{scene}/background/scene.ply", scene=PLAN.scene),
         collect("results/{scene}/humans/{person}.{kind}", scene=PLAN.scene, person=files.people, kind=["ply", "npz"]),
-        # Films: rendered (on request taken apart into EXR layers), enhanced, and beside what was filmed.
+        # Films: rendered (on request taken apart into EXR layers), and enhanced.
         collect("results/{scene}/render/{shot}.mkv", scene=PLAN.scene, shot=files.renders),
         collect(
             "results/{scene}/render/{shot}.layers",
             scene=PLAN.scene,
             shot=files.films if config["render"]["exr"] else [],
         ),
-        collect(
-            "results/{scene}/enhance/{shot}{kind}", scene=PLAN.scene, shot=files.films, kind=[".mp4", ".compare.mp4"]
-        ),
+        collect("results/{scene}/enhance/{shot}.mp4", scene=PLAN.scene, shot=files.films),
         # How good it is, and everything on one page; the result in formats that other tools read.
         collect("results/{scene}/report/{file}", scene=PLAN.scene, file=["audit.json", "metrics.json", "index.html"]),
         collect("results/{scene}/deliver/{file}", scene=PLAN.scene, file=["manifest.json", "player.html", "scene.glb"]),
@@ -96,7 +94,7 @@ rule all:
     localrule: True
 
 
-# A first look, with --configfile config/presets/look.yaml: one film, and nothing that is only measured, compared or handed on.
+# A first look, with --configfile config/presets/look.yaml: one film, and nothing that is only measured or handed on.
 rule look:
     input:
         collect("results/{scene}/enhance/{shot}.mp4", scene=PLAN.scene, shot=PLAN.first_film),

@@ -4,14 +4,11 @@ the recursion."""
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
-from studiorecon.configuration import settings as settings_module
-from studiorecon.enhance import folder as enhance_folder
 from studiorecon.enhance.backends import Unchanged, load_enhancer
 from studiorecon.errors import UserError
 from studiorecon.images.flow import one_thread
@@ -20,9 +17,8 @@ from studiorecon.recursive.flows import DisFlow, load_flow
 from studiorecon.recursive.sequence import enhance_sequence
 from studiorecon.scene.path import PathStep
 
-from tests.made.enhance_folder import VIEW, panning
-from tests.made.enhance_folder import write_pictures as write
 from tests.made.enhance_limits import PAPER, textured
+from tests.made.enhance_sequence import VIEW, panning
 
 
 @pytest.mark.parametrize("name", ["raft", "difix", "fixer"])
@@ -76,17 +72,6 @@ def test_pictures_too_small_for_the_network_are_enlarged_and_steadied() -> None:
     assert error[0] < 0.85 * error[1] < error[2], (
         "along the right flow noise averages out; along the wrong one pictures blur"
     )
-
-
-def test_a_folder_for_difix_needs_references(tmp_path: Path, default_settings: Callable) -> None:
-    settings = settings_module.load(enhance_folder.Settings, default_settings("enhance"), "enhance")
-    pictures = write(tmp_path / "renders", panning(3))
-    with pytest.raises(UserError, match="difix needs a photo for reference"):
-        enhance_folder.run(replace(settings, enhancer="difix"), pictures, None, tmp_path / "out")
-    with pytest.raises(UserError, match=r"which is missing"):
-        enhance_folder.run(
-            replace(settings, enhancer="fixer"), pictures, None, tmp_path / "out", weights=tmp_path, device="cpu"
-        )
 
 
 def test_dis_is_a_flow_of_the_protocol() -> None:

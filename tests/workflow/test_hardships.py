@@ -16,8 +16,8 @@ import pytest
 
 from tests.workflow.conftest import House
 
-# Quick steps that write what the others write: a picture, arrays, depth, films side by side.
-QUICK_STEPS = ("plates.clean", "depth.sweep", "depth.refine", "enhance.comparison", "people.overlay")
+# Quick steps that write what the others write: a picture, arrays, depth, a film.
+QUICK_STEPS = ("plates.clean", "depth.sweep", "depth.refine", "people.overlay")
 READ_ONLY = "mount --bind results results && mount -o remount,bind,ro results && exec {command}"
 FULL = "ulimit -f 4; exec {command}"
 POOR = "ulimit -v {kilobytes}; exec {command}"

@@ -21,7 +21,6 @@ from tests.workflow.conftest import House, make_house
 AFTER_HUMANS = {
     "render_shot",
     "enhance_shot",
-    "enhance_comparison",
     "report_audit",
     "report_recognition",
     "report_evaluate",

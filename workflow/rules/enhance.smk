@@ -40,27 +40,3 @@ rule enhance_shot:
         "Enhance film {wildcards.shot} where the scene needs it: {output.film}"
     shell:
         command("enhance.shot")
-
-
-rule enhance_comparison:
-    input:
-        render="results/{scene}/render/{shot}.mkv",
-        render_path="results/{scene}/render/{shot}.json",
-        video="results/{scene}/enhance/{shot}.mkv",
-        videos=collect("results/{scene}/capture/{camera}.mkv", camera=files.cameras, allow_missing=True),
-    output:
-        beside="results/{scene}/enhance/{shot}.compare.mp4",
-        wipe="results/{scene}/enhance/{shot}.wipe.mp4",
-    log:
-        "logs/{scene}/enhance/comparison/{shot}.log",
-    benchmark:
-        "timings/{scene}/enhance/comparison/{shot}.tsv"
-    container:
-        image("core")
-    threads: 1
-    resources:
-        mem_mb=memory(1000),
-    params:
-        code=code("enhance.comparison"),
-    shell:
-        command("enhance.comparison")

@@ -175,7 +175,6 @@ def _film_work(footage: Footage, picture_mpx: float, shots: Mapping[str, Any]) -
     return {
         "render_shot": Work(len(films) + 1, mean_drawn * picture_mpx),
         "enhance_shot": Work(len(films), mean_film * picture_mpx),
-        "enhance_comparison": Work(len(films), mean_film * picture_mpx),
         "report_recognition": Work(int(footage.people > 0), scored * picture_mpx),
         "report_evaluate": Work(1, scored * picture_mpx),
         "report_page": Work(1, drawn * picture_mpx),

@@ -48,10 +48,8 @@ CHOICES = {
     "views.synthesizer": Choice(
         ("view synthesizer",), ("views.request", "views.generate", "views.fitted"), ("warp",), ("precomputed",)
     ),
-    "enhance.enhancer": Choice(
-        ("picture enhancer",), ("enhance.shot", "enhance.folder"), ("residual",), ("precomputed", "none")
-    ),
-    "enhance.flow": Choice(("flow",), ("enhance.shot", "enhance.folder"), ("dis",)),
+    "enhance.enhancer": Choice(("picture enhancer",), ("enhance.shot",), ("residual",), ("precomputed", "none")),
+    "enhance.flow": Choice(("flow",), ("enhance.shot",), ("dis",)),
 }
 """Settings that may name a network, in the order data flows."""
 POINTS = "detect.network"

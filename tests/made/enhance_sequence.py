@@ -1,9 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What tests of enhance folder and their neighbours share."""
+"""Clips for an enhancer, and what comes of them."""
 
 from __future__ import annotations
-
-from pathlib import Path
 
 import cv2
 import numpy as np
@@ -38,10 +36,3 @@ def played(pictures: list[np.ndarray], enhancer: object, injection: object = PAP
     steps = [PathStep(VIEW, float(k), "a") for k in range(len(pictures))]
     depths = [np.full(VIEW.hw, 2000, np.uint16)] * len(pictures)
     return list(enhance_sequence(steps, pictures, depths, lambda step: pictures[0], enhancer, injection, SEARCH))
-
-
-def write_pictures(folder: Path, pictures: list[np.ndarray]) -> Path:
-    folder.mkdir(parents=True)
-    for index, picture in enumerate(pictures):
-        cv2.imwrite(str(folder / f"frame{index:04d}.png"), picture[..., ::-1])
-    return folder
