@@ -5,7 +5,6 @@ from __future__ import annotations
 
 import cv2
 import numpy as np
-from studiorecon.models.protocols import Moment
 from studiorecon.recursive.sequence import enhance_sequence
 from studiorecon.scene.path import PathStep
 
@@ -23,13 +22,6 @@ def panning(count: int, seed: int = 3, noise: float = 4.0) -> list[np.ndarray]:
     rows, columns = np.mgrid[:64, :96].astype(np.float32)
     moved = [cv2.remap(texture, columns + np.float32(1.5 * k), rows, cv2.INTER_LINEAR) for k in range(count)]
     return [np.clip(np.rint(m + rng.normal(0, noise, m.shape)), 0, 255).astype(np.uint8) for m in moved]
-
-
-class Warmer:
-    """An enhancer that changes colours a little, so that outputs differ from inputs."""
-
-    def enhance(self, image: np.ndarray, reference: np.ndarray, moment: Moment) -> np.ndarray:
-        return np.clip(image + np.float32([0.02, 0.0, -0.01]), 0, 1)
 
 
 def played(pictures: list[np.ndarray], enhancer: object, injection: object = PAPER) -> list[np.ndarray]:

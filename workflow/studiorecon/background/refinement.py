@@ -10,7 +10,6 @@ from __future__ import annotations
 import itertools
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -19,12 +18,6 @@ from studiorecon.errors import UserError
 from studiorecon.geometry.camera_path import scene_centre, with_pose
 from studiorecon.geometry.rotations import slerp
 from studiorecon.scene.camera import Camera
-
-if TYPE_CHECKING:
-    pass
-
-# Pixels with less coverage show a hole, which must not be learned.
-_SOLID = 0.95
 
 
 @dataclass(frozen=True)

@@ -17,9 +17,8 @@ def forward_kinematics(
     rotations: Num[np.ndarray, "T J 3 3"],
     rest_joints_m: Num[np.ndarray, "... J 3"],
     parents: Num[np.ndarray, " J"],
-    root_m: Num[np.ndarray, "T 3"] | float = 0.0,
 ) -> tuple[Num[np.ndarray, "T J 3 3"], Num[np.ndarray, "T J 3"]]:
-    """World rotations and joints, root joint at ``root_m``, by default the origin.
+    """World rotations and joints, root joint at the origin.
 
     ``rotations`` are relative to each joint's parent, which comes before it; ``rest_joints_m`` is the shaped T-pose,
     for all frames or one per frame. Raises ValueError that names the argument for other shapes. A rotation that is not
@@ -32,7 +31,7 @@ def forward_kinematics(
     joints = np.empty(rotations.shape[:-1])
     for j, parent in enumerate(parents):
         if parent < 0:
-            world[:, j], joints[:, j] = rotations[:, j], root_m
+            world[:, j], joints[:, j] = rotations[:, j], 0.0
         else:
             world[:, j] = world[:, parent] @ rotations[:, j]
             bone = rest_joints_m[..., j, :] - rest_joints_m[..., parent, :]

@@ -38,11 +38,10 @@ def write_model(
     folder: Path,
     cameras: Sequence[Camera],
     points_m: Num[np.ndarray, "N 3"] | None = None,
-    colours: Num[np.ndarray, "N 3"] | None = None,
 ) -> None:
     """Write ``cameras.txt``, ``images.txt`` and ``points3D.txt``; image names are ``<camera>.png``.
 
-    ``colours`` are in [0, 1]. Numbers have 17 digits: reading gives the same intrinsics, and rotations to 1e-15.
+    Numbers have 17 digits: reading gives the same intrinsics, and rotations to 1e-15.
     """
     camera_lines = ["# Camera list: CAMERA_ID MODEL WIDTH HEIGHT PARAMS[]; pixel centres at 0.5"]
     image_lines = ["# Image list: IMAGE_ID QW QX QY QZ TX TY TZ CAMERA_ID NAME, then a line of 2D points (none)"]
@@ -53,15 +52,8 @@ def write_model(
         image_lines += [f"{index} " + " ".join(f"{v:.17g}" for v in pose) + f" {index} {camera.name}.png", ""]
     point_lines = ["# 3D point list: POINT3D_ID X Y Z R G B ERROR TRACK[]"]
     points = np.zeros((0, 3)) if points_m is None else np.asarray(points_m)
-    rgb = (
-        np.full((len(points), 3), 128)
-        if colours is None
-        else np.clip(np.rint(np.asarray(colours) * 255), 0, 255).astype(int)
-    )
-    for index, (point, colour) in enumerate(zip(points, rgb), start=1):
-        point_lines.append(
-            f"{index} " + " ".join(f"{v:.9g}" for v in point) + f" {colour[0]} {colour[1]} {colour[2]} 0"
-        )
+    for index, point in enumerate(points, start=1):
+        point_lines.append(f"{index} " + " ".join(f"{v:.9g}" for v in point) + " 128 128 128 0")
     for name, lines in (("cameras", camera_lines), ("images", image_lines), ("points3D", point_lines)):
         write_text(folder / f"{name}.txt", "\n".join(lines) + "\n")
 

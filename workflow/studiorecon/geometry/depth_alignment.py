@@ -5,7 +5,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Literal
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -44,16 +44,13 @@ def align_depth(
     reference_m: Num[np.ndarray, " ..."],
     static: Bool[np.ndarray, " ..."],
     rng: np.random.Generator,
-    noisy: Literal["both", "predicted"] = "both",
 ) -> Alignment:
     """Robust fit of ``predicted`` to ``reference_m`` (metres) over ``static`` pixels, all of one shape.
 
     In depth, not in disparity, whose fit to near pixels turns far ones negative (D03). Theil-Sen start and Huber rounds
-    tolerate up to 45 % of moved pixels (D01); more need the mask. With both maps ``noisy``, in proportion to their
-    scale, the slope is the geometric mean of the fits in both directions. With noise in the prediction only it is the
-    inverse of the fit of prediction to reference: the other direction flattens it to 0.9 or 0.67 (D07). Values that are
-    not finite or not positive count as unknown (D05). A scale ≤ 0 is never returned. Raises ValueError for unequal
-    shapes.
+    tolerate up to 45 % of moved pixels (D01); more need the mask. Both maps are noisy in proportion to their scale, so
+    the slope is the geometric mean of the fits in both directions: one alone flattens it (D07). Values that are not
+    finite or not positive count as unknown (D05). A scale ≤ 0 is never returned. Raises ValueError for unequal shapes.
     """
     require("reference_m", reference_m, np.shape(predicted))
     require("static", static, np.shape(predicted))
@@ -92,8 +89,7 @@ def align_depth(
         together = np.average((x - mean_x) * (y - mean_y), weights=weight)
         if together <= 0:
             return ratio
-        # The inverse of the slope of x on y, or its geometric mean with that of y on x (together/spread_x).
-        scale = float(spread_y / together if noisy == "predicted" else np.sqrt(spread_y / spread_x))
+        scale = float(np.sqrt(spread_y / spread_x))
         shift = float(mean_y - scale * mean_x)
     return Alignment(scale, shift, "affine")
 

@@ -21,7 +21,7 @@ from studiorecon.images.similarity import RADIUS, WINDOW, masked_sum, similarity
 from studiorecon.images.temporal import change
 
 if TYPE_CHECKING:
-    from jaxtyping import Bool, Integer, Num
+    from jaxtyping import Bool, Float, Integer, Num
 
 # Value for identical pictures, so that one of them does not make a mean infinite (I03).
 PSNR_CAP_DB = 100.0
@@ -89,16 +89,14 @@ def colour_corrected_psnr(prediction: Num[np.ndarray, "H W 3"], truth: Num[np.nd
     return decibels(squared_error_after_map(shown, wanted, colour_map(shown, wanted)) / (_SQUARES * count))
 
 
-def ssim_map(
-    prediction: Num[np.ndarray, "H W C"], truth: Num[np.ndarray, "H W C"], dtype: type = np.float64
-) -> Num[np.ndarray, "H W"]:
+def ssim_map(prediction: Num[np.ndarray, "H W C"], truth: Num[np.ndarray, "H W C"]) -> Float[np.ndarray, "H W"]:
     """Structural similarity, mean over channels, with zeros outside the picture: 11×11 Gaussian, sigma 1.5, range 1.
 
     Population covariance; variances are clamped at 0 and the map at 1, which rounding breaks on flat pictures (I01).
     Raises ValueError for pictures of two sizes.
     """
     require("truth", truth, ("H", "W", "C"), require("prediction", prediction, ("H", "W", "C")))
-    return similarity_map(to_levels(prediction), to_levels(truth), dtype)
+    return similarity_map(to_levels(prediction), to_levels(truth))
 
 
 def whole_windows(mask: Bool[np.ndarray, "H W"]) -> Bool[np.ndarray, "H W"]:

@@ -32,20 +32,14 @@ def window() -> Float[np.ndarray, " 11"]:
     return cv2.getGaussianKernel(WINDOW, SIGMA, cv2.CV_64F)[:, 0]
 
 
-def similarity_map(
-    first: Num[np.ndarray, "H W C"], second: Num[np.ndarray, "H W C"], dtype: type = np.float64
-) -> Num[np.ndarray, "H W"]:
+def similarity_map(first: Num[np.ndarray, "H W C"], second: Num[np.ndarray, "H W C"]) -> Float[np.ndarray, "H W"]:
     """SSIM, mean over channels, of two uint8 pictures with zeros outside: 11×11 Gaussian of sigma 1.5.
 
-    ``dtype`` float32 takes two thirds of the time and moves a mean by up to about 1e-6.
     Raises ValueError for pictures of two sizes: the compiled loops would read beyond the smaller one.
     """
     require("second", second, ("H", "W", "C"), require("first", first, ("H", "W", "C")))
-    kernel: np.ndarray = window().astype(dtype)
-    # Constants in the width of the sums: one float64 among float32 values would make all of them float64.
-    constants: np.ndarray = np.array([_C1, _C2, 0.5, 1 / first.shape[2]], dtype)
-    found: np.ndarray = np.zeros(first.shape[:2], dtype)
-    _similarity(np.ascontiguousarray(first), np.ascontiguousarray(second), kernel, constants, found)
+    found = np.zeros(first.shape[:2])
+    _similarity(np.ascontiguousarray(first), np.ascontiguousarray(second), window(), found)
     return found
 
 
@@ -81,27 +75,20 @@ def masked_sum(values: Num[np.ndarray, "H W"], mask: Bool[np.ndarray, "H W"]) ->
 
 
 @numba.njit(cache=True, nogil=True)
-def _similarity(
-    first: np.ndarray, second: np.ndarray, kernel: np.ndarray, constants: np.ndarray, found: np.ndarray
-) -> None:
+def _similarity(first, second, kernel, found):
     height, width, channels = first.shape
     taps, radius = len(kernel), len(kernel) // 2
-    zero = kernel[0] - kernel[0]
-    # float32 keeps more digits of a variance when the levels are centred; zeros outside the picture move along.
-    shift = zero + np.float32(255) if kernel.itemsize == 4 else zero
-    line_s, line_d = np.empty(width + 2 * radius, kernel.dtype), np.empty(width + 2 * radius, kernel.dtype)
-    line_ss, line_dd = np.empty(width + 2 * radius, kernel.dtype), np.empty(width + 2 * radius, kernel.dtype)
+    line_s, line_d = np.zeros(width + 2 * radius), np.zeros(width + 2 * radius)
+    line_ss, line_dd = np.zeros(width + 2 * radius), np.zeros(width + 2 * radius)
     # The last rows of horizontal means, one ring per field; a picture row needs the eleven around it.
-    ring = np.empty((4, taps, width), kernel.dtype)
-    mean = np.empty((4, width), kernel.dtype)
+    ring, mean = np.empty((4, taps, width)), np.empty((4, width))
     for c in range(channels):
         for y in range(-radius, height + radius):
             slot = (y + taps) % taps
-            line_s[:], line_d[:], line_ss[:], line_dd[:] = -shift, zero, shift * shift, zero
             if 0 <= y < height:
-                _load(
-                    first[y], second[y], c, shift, line_s[radius:], line_d[radius:], line_ss[radius:], line_dd[radius:]
-                )
+                _load(first[y], second[y], c, line_s[radius:], line_d[radius:], line_ss[radius:], line_dd[radius:])
+            else:
+                line_s[:], line_d[:], line_ss[:], line_dd[:] = 0.0, 0.0, 0.0, 0.0
             _blur_line(line_s, kernel, ring[0, slot])
             _blur_line(line_d, kernel, ring[1, slot])
             _blur_line(line_ss, kernel, ring[2, slot])
@@ -110,7 +97,7 @@ def _similarity(
             if row >= 0:
                 for f in range(4):
                     _blur_rows(ring[f], row + taps, kernel, mean[f])
-                _compare(mean[0], mean[1], mean[2], mean[3], shift, constants, found[row])
+                _compare(mean[0], mean[1], mean[2], mean[3], 1 / channels, found[row])
 
 
 # The loops below are functions of whole rows, because only then does the compiler see that they do not overlap, and
@@ -118,10 +105,10 @@ def _similarity(
 
 
 @numba.njit(cache=True, nogil=True)
-def _load(first, second, channel, shift, s_line, d_line, ss_line, dd_line):
+def _load(first, second, channel, s_line, d_line, ss_line, dd_line):
     for x in range(len(first)):
-        a, b = np.float32(first[x, channel]), np.float32(second[x, channel])
-        s, d = a + b - shift, a - b
+        a, b = np.float64(first[x, channel]), np.float64(second[x, channel])
+        s, d = a + b, a - b
         s_line[x], d_line[x], ss_line[x], dd_line[x] = s, d, s * s, d * d
 
 
@@ -159,13 +146,11 @@ def _six_rows(above, below, above_2, below_2, above_3, below_3, k2, k1, k0, out)
 
 
 @numba.njit(cache=True, nogil=True)
-def _compare(mean_s, mean_d, mean_ss, mean_dd, shift, constants, out):
-    c1, c2, half, share = constants[0], constants[1], constants[2], constants[3]
-    zero = shift - shift
+def _compare(mean_s, mean_d, mean_ss, mean_dd, share, out):
     for x in range(len(out)):
         s, d = mean_s[x], mean_d[x]
-        spread_s, spread_d = max(mean_ss[x] - s * s, zero), max(mean_dd[x] - d * d, zero)
-        s_squared, d_squared = half * (s + shift) * (s + shift), half * d * d
-        luminance = (s_squared - d_squared + c1) / (s_squared + d_squared + c1)
-        structure = (half * (spread_s - spread_d) + c2) / (half * (spread_s + spread_d) + c2)
+        spread_s, spread_d = max(mean_ss[x] - s * s, 0.0), max(mean_dd[x] - d * d, 0.0)
+        s_squared, d_squared = 0.5 * s * s, 0.5 * d * d
+        luminance = (s_squared - d_squared + _C1) / (s_squared + d_squared + _C1)
+        structure = (0.5 * (spread_s - spread_d) + _C2) / (0.5 * (spread_s + spread_d) + _C2)
         out[x] += share * luminance * structure

@@ -17,12 +17,6 @@ JOINT_NAMES = (
     "spine3", "left_foot", "right_foot", "neck", "left_collar", "right_collar", "head", "left_shoulder",
     "right_shoulder", "left_elbow", "right_elbow", "left_wrist", "right_wrist", "left_hand", "right_hand",
 )  # fmt: skip
-# Every joint's partner on the other side; a joint on the middle line is its own.
-OTHER_SIDE = tuple(
-    JOINT_NAMES.index({"left": f"right_{part}", "right": f"left_{part}"}.get(side, name))
-    for name in JOINT_NAMES
-    for side, _, part in [name.partition("_")]
-)
 _COCO17 = (
     "nose", "left_eye", "right_eye", "left_ear", "right_ear", "left_shoulder", "right_shoulder", "left_elbow",
     "right_elbow", "left_wrist", "right_wrist", "left_hip", "right_hip", "left_knee", "right_knee", "left_ankle",
