@@ -27,7 +27,6 @@ from studiorecon.scene.path import PathStep, read_path
 from studiorecon.signature import Place, Written
 
 
-
 def run(
     enhancer: str,
     injection: str,

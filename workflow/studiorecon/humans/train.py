@@ -56,7 +56,6 @@ if TYPE_CHECKING:
     from jaxtyping import Bool, Integer
 
 
-
 def recolour_unseen(
     trained: Gaussians, seen: Bool[np.ndarray, " N"], near: Integer[np.ndarray, "N K"], twin: Integer[np.ndarray, " N"]
 ) -> Gaussians:

@@ -44,7 +44,6 @@ if TYPE_CHECKING:
     from jaxtyping import Bool, Float, Integer
 
 
-
 @dataclass(frozen=True)
 class OutlineSettings:
     """Evidence of a fitted body.
