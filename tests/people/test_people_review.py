@@ -49,7 +49,7 @@ def page(tmp_path: Path) -> str:
             (2, "", None, "nobody there"),
         ):
             about = {"camera": camera, "track": track, "first": 0, "last": 7, "detections": FRAMES if track < 2 else 1}
-            tracks.append(about | {"person": person, "margin": margin, "agreement": 0.9, "reason": reason})
+            tracks.append(about | {"person": person, "margin": margin, "reason": reason})
     tracks[4]["margin"] = 0.01
     out = {
         "name": "r0",

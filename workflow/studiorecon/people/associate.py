@@ -92,8 +92,7 @@ def associate_as_corrected(path: Path, given: Sequence[Detections]) -> Associate
     rows = people_table_rows(table, given)
     say(f"{len(rows)} people as corrected in {path}")
     verdicts = {
-        key: TrackVerdict(person, float("nan"), float("nan"), "" if person else "left out by hand")
-        for key, person in table.items()
+        key: TrackVerdict(person, float("nan"), "" if person else "left out by hand") for key, person in table.items()
     }
     return Associated(verdicts, rows, [])
 

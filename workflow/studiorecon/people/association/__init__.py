@@ -3,5 +3,5 @@
 
 ``affinity`` (of pairs, by rays and ``postures``) → ``grouping`` (each ``group`` chosen whole, joined over ``gaps``) →
 ``terms`` and ``picture_terms`` (log-likelihood ratios) → ``acceptance`` (which groups are people) →
-``rejected_people`` (the other groups). The paper's way instead: ``reference_view``.
+``rejected_people`` (the other groups).
 """

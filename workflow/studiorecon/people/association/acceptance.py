@@ -45,13 +45,11 @@ class TrackVerdict:
     Attributes:
         person: ``p0``, …, or "" for none.
         margin: by how much it prefers its group to the next best one (A12), NaN without a group.
-        agreement: share of its group's keypoints in this camera that agree, NaN without a group.
         reason: why it has no person, or why its person is doubtful; "" when neither.
     """
 
     person: str
     margin: float
-    agreement: float
     reason: str
 
 
@@ -177,12 +175,12 @@ def _verdicts(
     table, nan, cameras = {}, float("nan"), compared.cameras
     for v, t in compared.pairs.nodes:
         alone = "no other camera agrees with it, or it fits two people equally well"
-        table[cameras[v].name, t] = TrackVerdict("", nan, nan, alone)
+        table[cameras[v].name, t] = TrackVerdict("", nan, alone)
     for group, own in rejected:
         reason = terms.strongest_objections(own)
         tracks = [(cameras[v].name, t) for v, t in group.members]
         say(f"not a person of this scene: tracks {', '.join(f'{name}/{t}' for name, t in tracks)}: {reason}")
-        table |= dict.fromkeys(tracks, TrackVerdict("", nan, nan, reason))
+        table |= dict.fromkeys(tracks, TrackVerdict("", nan, reason))
     margins = track_margins(kept, compared)
     for number, group in enumerate(kept):
         for v, t in group.members:
@@ -190,7 +188,7 @@ def _verdicts(
             if margin < compared.limits.undecided_margin:
                 doubt = f"undecided: it fits p{number} only {margin:.2f} better than another person"
                 say(f"{cameras[v].name}/{t} is {doubt}")
-            table[cameras[v].name, t] = TrackVerdict(f"p{number}", margin, float(group.agreement[v]), doubt)
+            table[cameras[v].name, t] = TrackVerdict(f"p{number}", margin, doubt)
     return table
 
 

@@ -10,15 +10,10 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from studiorecon.geometry.triangulation import Limits, triangulate
 from studiorecon.scene.camera import Camera
-from studiorecon.scene.people import Detections
 
 if TYPE_CHECKING:
     from jaxtyping import Bool, Float, Integer
-
-# A camera sees a person in a frame where so many of the stable keypoints agree with the others'.
-_MIN_AGREEING = 3
 
 
 @dataclass(frozen=True)
@@ -56,27 +51,3 @@ class Group:
         for t in np.flatnonzero(known.any(-1)):
             centres[t] = np.median(self.points_m[t, known[t]], axis=0)
         return centres
-
-
-def make_group(
-    members: Sequence[tuple[int, int]],
-    found: Sequence[Detections],
-    cameras: Sequence[Camera],
-    frames: int,
-    agree: Limits,
-) -> Group:
-    """The group of ``members`` (view, track) among detections of equal keypoints, with its triangulated points."""
-    count = found[0].keypoints.shape[1]
-    pixels = np.full((len(found), frames, count, 2), np.nan)
-    confidence, detected = np.zeros(pixels.shape[:-1]), np.zeros(pixels.shape[:2], dtype=bool)
-    for view, track in members:
-        own = found[view].only(found[view].track == track)
-        pixels[view, own.frame], confidence[view, own.frame] = own.keypoints[..., :2], own.keypoints[..., 2]
-        detected[view, own.frame] = True
-    points = triangulate(pixels.reshape(len(found), -1, 2), confidence.reshape(len(found), -1), cameras, agree)
-    inliers = points.inliers.reshape(confidence.shape)
-    judged = (confidence > agree.min_confidence) & points.valid.reshape(frames, count)
-    total = judged.sum((1, 2))
-    agreement = np.where(total > 0, (inliers & judged).sum((1, 2)) / np.maximum(total, 1), np.nan)
-    seen = inliers.sum(-1) >= _MIN_AGREEING
-    return Group(tuple(sorted(members)), points.points_m.reshape(frames, count, 3), agreement, seen, detected)

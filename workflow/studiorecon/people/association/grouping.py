@@ -10,18 +10,20 @@ from functools import cached_property
 import numpy as np
 
 from studiorecon.geometry.groups import groups_by_affinity
-from studiorecon.geometry.triangulation import Limits, unit_px
+from studiorecon.geometry.triangulation import Limits, triangulate, unit_px
 from studiorecon.keypoints.correspondence import STABLE_KEYPOINTS, stable_detections
+from studiorecon.keypoints.tracking import match_detections
 from studiorecon.people.association.affinity import AssociationLimits, TrackPairs, require_measured, track_pairs
 from studiorecon.people.association.gaps import Clothes, Return, join_over_gaps
-from studiorecon.people.association.group import Group, make_group
-from studiorecon.people.association.reference_view import star_groups
+from studiorecon.people.association.group import Group
 from studiorecon.scene.camera import Camera
 from studiorecon.scene.people import Detections
 
 # Tracks with less time of detections than this, seconds, are not grouped; they join where their keypoints fit a group's
 # points.
 _LONG_S = 0.15
+# A camera sees a person in a frame where so many of the stable keypoints agree with the others'.
+_MIN_AGREEING = 3
 # Such a track needs so many comparable keypoints, and must agree so much better with one group than with any other.
 _COMPARABLE, _CLEARLY = 6, 0.25
 
@@ -57,9 +59,21 @@ class TrackComparison:
         return [self.pairs.nodes.index(m) for m in group.members]
 
     def group(self, members: Sequence[tuple[int, int]], keypoints: Sequence[str] = STABLE_KEYPOINTS) -> Group:
-        """The group of ``members`` (view, track), with its ``keypoints``."""
+        """The group of ``members`` (view, track), with its triangulated ``keypoints``."""
+        shape = len(self.cameras), self.frames, len(keypoints)
+        seen, detected = np.full((*shape, 3), [np.nan, np.nan, 0.0]), np.zeros(shape[:2], dtype=bool)
         found = self.stable if keypoints is STABLE_KEYPOINTS else stable_detections(self.detections, None, keypoints)
-        return make_group(members, found, self.cameras, self.frames, self.agree)
+        for view, track in members:
+            own = found[view].only(found[view].track == track)
+            seen[view, own.frame], detected[view, own.frame] = own.keypoints, True
+        flat = seen.reshape(shape[0], -1, 3)
+        points = triangulate(flat[..., :2], flat[..., 2], self.cameras, self.agree)
+        inliers = points.inliers.reshape(shape)
+        judged = (seen[..., 2] > self.agree.min_confidence) & points.valid.reshape(shape[1:])
+        total = judged.sum((1, 2))
+        agreement = np.where(total > 0, (inliers & judged).sum((1, 2)) / np.maximum(total, 1), np.nan)
+        points_m, often = points.points_m.reshape(*shape[1:], 3), inliers.sum(-1) >= _MIN_AGREEING
+        return Group(tuple(sorted(members)), points_m, agreement, often, detected)
 
 
 def group_tracks(
@@ -80,10 +94,10 @@ def group_tracks(
 
 def groups_and_returns(compared: TrackComparison, clothes: Clothes | None = None) -> tuple[list[Group], list[Return]]:
     """All groups of the compared detections, and possible returns of people; ``clothes`` compares two groups."""
-    pairs, moments = compared.pairs, compared.pairs.graph.moments
     if compared.limits.method == "star":
-        stars = star_groups(compared.detections, compared.stable, compared.cameras, compared.limits)
-        return [compared.group(members) for members in stars], []
+        stars, later = _stars(compared)
+        return _with_leftovers([compared.group(members) for members in stars], later, compared), []
+    pairs, moments = compared.pairs, compared.pairs.graph.moments
     lengths = np.diagonal(moments)
     long = np.flatnonzero(lengths >= min(max(2.0, _LONG_S * compared.fps), lengths.max(initial=0)))
     between = np.ix_(long, long)
@@ -93,8 +107,29 @@ def groups_and_returns(compared: TrackComparison, clothes: Clothes | None = None
         _without_strangers(compared.group([pairs.nodes[n] for n in long[chosen]]), compared)
         for chosen in groups_by_affinity(affinity, pairs.forbidden[between])
     ]
-    groups = _with_leftovers([g for g in found if g is not None], compared)
+    groups = _with_leftovers([g for g in found if g is not None], pairs.nodes, compared)
     return join_over_gaps(groups, compared.fps, compared.group, clothes)
+
+
+def _stars(compared: TrackComparison) -> tuple[list[list[tuple[int, int]]], list[tuple[int, int]]]:
+    """The paper's groups at the first frame with a person (its t₀ = 0; U31), and the tracks that begin later.
+
+    The view with most people is the reference; the Hungarian algorithm matches every other view to it. A person whom
+    it does not see never gets an identity (A15), and one frame's noise decides (A11).
+    """
+    start = min((int(d.frame.min()) for d in compared.detections if len(d.frame)), default=0)
+    here, stable = ([d.only(d.frame == start) for d in own] for own in (compared.detections, compared.stable))
+    now = track_pairs(here, stable, compared.cameras, compared.limits)
+    view, affinity = now.graph.view, np.nan_to_num(now.affinity)
+    people = np.flatnonzero(view == np.argmax(np.bincount(view, minlength=len(compared.cameras))))
+    groups = [[now.nodes[n]] for n in people]
+    for v in set(view.tolist()):
+        others = np.flatnonzero((view == v) & ~np.isin(view, view[people]))
+        # No affinity is no match, whatever the assignment (A03, A13).
+        for i, k in match_detections(1 - affinity[np.ix_(others, people)], 1.0):
+            groups[k].append(now.nodes[others[i]])
+    later = [node for node in compared.pairs.nodes if node not in now.nodes]
+    return [group for group in groups if len(group) >= 2], later
 
 
 def track_margins(groups: Sequence[Group], compared: TrackComparison) -> dict[tuple[int, int], float]:
@@ -129,8 +164,8 @@ def _without_strangers(group: Group, compared: TrackComparison) -> Group | None:
     return None
 
 
-def _with_leftovers(groups: list[Group], compared: TrackComparison) -> list[Group]:
-    """Groups with the tracks that no pair of rays placed, where their keypoints fit a group's projected points (A14).
+def _with_leftovers(groups: list[Group], tracks: Sequence[tuple[int, int]], compared: TrackComparison) -> list[Group]:
+    """Groups with the remaining ``tracks``, where their keypoints fit a group's projected points (A14).
 
     Two people in line with a camera both fit a detection of one of them: the clearest tracks are placed first. A track
     that still fits two groups equally gets no person rather than a wrong one.
@@ -138,7 +173,7 @@ def _with_leftovers(groups: list[Group], compared: TrackComparison) -> list[Grou
     detected = [g.detected.copy() for g in groups]
     placed = [list(g.members) for g in groups]
     fits = {}
-    for view, track in sorted(set(compared.pairs.nodes) - {m for g in groups for m in g.members}):
+    for view, track in sorted(set(tracks) - {m for g in groups for m in g.members}):
         own = [_fit((view, track), g, compared) for g in groups]
         shares = [share if total >= _COMPARABLE else 0.0 for share, total in own]
         fits[view, track] = shares, compared.stable[view].frame[compared.stable[view].track == track]
