@@ -1,9 +1,10 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What a whole capture works out to, from its files to the doctor's page, with every file of it damaged by every rule.
+"""What a whole capture works out to, from its files to the doctor's page, when its files are damaged or mixed up.
 
-``python -m tests.faults.captures [EVERY]``: every so-many-th damage (1). Where the steps go on, what they work out is
-compared with the undamaged capture: who is where, how many frames count, lenses and lengths. It is right when nothing
-changed, told when something is said that was not said before, and silent otherwise.
+``python -m tests.faults.captures [EVERY [SEED]]``: every so-many-th rule (1) at one place of every kind of file, and
+every mix-up between files or within their time. Where the steps go on, what they work out is compared with the
+undamaged capture: who is where, how many frames count, lenses, lengths and pictures. It is right when nothing changed,
+told when something is said that was not said before, and silent otherwise.
 """
 
 from __future__ import annotations
@@ -16,10 +17,11 @@ import shutil
 import sys
 import tempfile
 from collections import Counter
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
 
+import cv2
 import numpy as np
 from studiorecon.calibration import choose, doctor, files
 from studiorecon.camera_files.calibration import read_calibration
@@ -37,7 +39,8 @@ from studiorecon.scene.people import read_detections
 from studiorecon.studio import capture
 
 from tests.defaults import loaded
-from tests.faults.rules import bytes_changed, variants
+from tests.faults.rules import Variant, variants
+from tests.made.file_contents import FORMS, npz
 
 STUDIO = """seed: 3
 frames: 30
@@ -50,6 +53,8 @@ detections: {noise_px: 0.5, shuffled: true}
 DESCRIBED = "frames: {first: 2, count: 24}\nkeypoint_layout: body_25\ntrain: [cam1, cam2, cam3, cam4]\n"
 # Two runs of one capture agree to the last digit; a detector errs by more than this, metres and pixels.
 _MOVED_M, _MOVED_PX = 0.03, 2.0
+# Half of the studio's frames; levels of 255 by which a decoder's pictures may differ.
+HALF, _LEVELS = 15, 8.0
 
 
 FREE = (
@@ -135,15 +140,21 @@ def _steps(data: Dataset, work: Path) -> tuple[dict[str, np.ndarray], list[str]]
         "joints": np.sort(points, axis=0),
         "looks": np.concatenate([c.intrinsics[:2].ravel() for c in pinholes]),
         "poses": np.concatenate([c.camera_from_world.ravel() for c in pinholes]),
+        "pictures": np.array([_small(data.footage[c])[common.source_frames(c)] for c in cameras]),
     }
     detector = [f"the detector looks for people in {c}" for c in cameras if c not in told_by]
     return numbers, [*detector, told["verdict"], *told["advice"], *told["oddities"], *filter(None, [told["lengths"]])]
 
 
+def _small(video: Path) -> np.ndarray:
+    frames = FORMS[".mp4"].taken(video.read_bytes())["frames"]
+    return np.array([cv2.resize(picture, (8, 4), interpolation=cv2.INTER_AREA) for picture in frames], np.float64)
+
+
 def alike(one: Outcome, other: Outcome) -> bool:
     """Whether two captures work out the same, to what a detector errs."""
     first, second = one.numbers, other.numbers
-    if any(first[name].shape != second[name].shape for name in ("moments", "looks", "poses")):
+    if any(first[name].shape != second[name].shape for name in ("moments", "looks", "poses", "pictures")):
         return False
     if abs(len(first["joints"]) - len(second["joints"])) > 0.05 * len(first["joints"]):
         return False
@@ -152,6 +163,7 @@ def alike(one: Outcome, other: Outcome) -> bool:
     return (
         np.array_equal(first["moments"], second["moments"])
         and bool(np.abs(moved).max() < _MOVED_M)
+        and bool(np.abs(first["pictures"] - second["pictures"]).max() < _LEVELS)
         and bool(np.abs(first["looks"] - second["looks"]).max() < _MOVED_PX)
         and bool(np.abs(first["poses"] - second["poses"]).max() < _MOVED_M)
     )
@@ -183,25 +195,99 @@ def verdict(dataset: Path, right: Outcome) -> tuple[str, str]:
     return ("told" if news else "silent"), " | ".join(news)
 
 
-def outcomes(every: int = 1, changed: int = 0, seed: int = 0) -> Iterator[tuple[str, str, str, str]]:
-    """(file and rule, place, verdict, what was said) of every ``every``-th damage of a capture."""
+def exchange(one: Path, other: Path) -> None:
+    between = one.with_name("between")
+    one.rename(between)
+    other.rename(one)
+    between.rename(other)
+
+
+def film(change: Callable[[np.ndarray], np.ndarray]) -> Callable[[Path], None]:
+    """Changes the frames (30, H, W, 3) of one camera."""
+
+    def changed(dataset: Path) -> None:
+        path, form = dataset / "videos/cam2.mp4", FORMS[".mp4"]
+        tree = form.taken(path.read_bytes())
+        path.write_bytes(form.put({**tree, "frames": np.ascontiguousarray(change(tree["frames"]))}))
+
+    return changed
+
+
+def people(change: Callable[[np.ndarray], np.ndarray]) -> Callable[[Path], None]:
+    """Changes the keypoints (30, people, 25, 3) of one camera."""
+
+    def changed(dataset: Path) -> None:
+        path = dataset / "keypoints/cam2.npz"
+        path.write_bytes(npz(keypoints=change(FORMS[".npz"].taken(path.read_bytes())["keypoints"])))
+
+    return changed
+
+
+def after_half(change: Callable[[np.ndarray], np.ndarray]) -> Callable[[np.ndarray], np.ndarray]:
+    return lambda values: np.concatenate([values[:HALF], change(values[HALF:])])
+
+
+def _poses_exchanged(dataset: Path) -> None:
+    text = (dataset / "extri.yml").read_text()
+    (dataset / "extri.yml").write_text(text.replace("cam1", "X").replace("cam3", "cam1").replace("X", "cam3"))
+
+
+def _half_of_another_film(dataset: Path) -> None:
+    other = FORMS[".mp4"].taken((dataset / "videos/cam3.mp4").read_bytes())["frames"]
+    film(lambda frames: np.concatenate([frames[:HALF], other[HALF:]]))(dataset)
+
+
+def _camera_moved(dataset: Path) -> None:
+    film(after_half(lambda frames: np.roll(frames, 12, 2)))(dataset)
+    people(after_half(lambda points: points + np.array([12.0, 0, 0])))(dataset)
+
+
+MIX_UPS: dict[str, Callable[[Path], None]] = {
+    "films exchanged": lambda d: exchange(d / "videos/cam1.mp4", d / "videos/cam3.mp4"),
+    "keypoints exchanged": lambda d: exchange(d / "keypoints/cam1", d / "keypoints/cam3"),
+    "poses exchanged": _poses_exchanged,
+    "half of another film": _half_of_another_film,
+    "camera moved": _camera_moved,
+    "film stands still": film(after_half(lambda frames: frames[:1].repeat(len(frames), 0))),
+    "film lacks frames": film(lambda frames: np.concatenate([frames[:12], frames[15:], frames[-3:]])),
+    "film backwards": film(lambda frames: frames[::-1]),
+    "film half mirrored": film(after_half(lambda frames: frames[:, :, ::-1])),
+    "film half upside down": film(after_half(lambda frames: frames[:, ::-1, ::-1])),
+    "film half black": film(after_half(lambda frames: frames * 0)),
+    "keypoints stand still": people(after_half(lambda points: points[:1].repeat(len(points), 0))),
+    "keypoints late": people(after_half(lambda points: points[[0, 0, 0, *range(len(points) - 3)]])),
+    "keypoints backwards": people(lambda points: points[::-1]),
+    "keypoints half scaled": people(after_half(lambda points: points * [1.15, 1.15, 1])),
+    "keypoints drift": people(lambda points: points + np.arange(30)[:, None, None, None] * [1.0, 0, 0]),
+    "keypoints half mirrored": people(after_half(lambda points: np.array([319, 0, 0]) + points * [-1, 1, 1])),
+}
+
+
+def outcomes(every: int = 1, seed: int = 0) -> Iterator[tuple[str, str, str, str]]:
+    """(file and rule, place, verdict, what was said) of every ``every``-th rule at one place, and of every mix-up."""
     with tempfile.TemporaryDirectory() as name:
         dataset = made(Path(name))
+        whole = shutil.copytree(dataset, Path(name) / "whole")
         with tempfile.TemporaryDirectory() as work:
             right = worked_out(dataset, Path(work))
-        rng = np.random.default_rng(seed)
+        rng, number = np.random.default_rng(seed), seed
+        for mixed_up, change in MIX_UPS.items():
+            change(dataset)
+            yield mixed_up, "", *verdict(dataset, right)
+            shutil.rmtree(dataset)
+            shutil.copytree(whole, dataset)
         for path in files_of(dataset):
-            whole = path.read_bytes()
-            damages = [
-                (v.rule, v.place, v.data) for v in variants(path.suffix, whole) if not re.search(r"cam[134]\b", v.place)
-            ]
-            damages += [("bytes", str(k), bytes_changed(whole, rng)) for k in range(changed)]
-            for rule, place, data in damages[seed % every :: every]:
-                path.unlink(missing_ok=True)
-                if data is not None:
-                    path.write_bytes(data)
-                yield f"{path.name}: {rule}", place, *verdict(dataset, right)
-            path.write_bytes(whole)
+            content, by_rule = path.read_bytes(), dict[str, list[Variant]]()
+            for variant in variants(path.suffix, content):
+                if not re.search(r"cam[134]\b", variant.place):
+                    by_rule.setdefault(variant.rule, []).append(variant)
+            for rule, several in by_rule.items():
+                number += 1
+                if number % every == 0:
+                    damage = several[rng.integers(len(several))]
+                    damage.lay(path)
+                    yield f"{path.name}: {rule}", damage.place, *verdict(dataset, right)
+            Variant("", "", content).lay(path)
 
 
 def wrong(rule: str, place: str, ended: str, words: str) -> bool:
@@ -213,7 +299,7 @@ def wrong(rule: str, place: str, ended: str, words: str) -> bool:
 
 if __name__ == "__main__":
     counted: Counter[str] = Counter()
-    for rule, place, ended, words in outcomes(int(sys.argv[1]) if len(sys.argv) > 1 else 1):
+    for rule, place, ended, words in outcomes(*map(int, sys.argv[1:])):
         counted[ended] += 1
         print(f"{ended}: {rule} at {place}: {words[:300]}", flush=True)
     print(dict(counted))

@@ -4,9 +4,13 @@
 from __future__ import annotations
 
 import copy
+import gzip
 import math
+import os
+import re
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -16,11 +20,22 @@ from tests.made.file_contents import FORMS
 
 @dataclass(frozen=True)
 class Variant:
-    """A damaged file: by which rule, where, and what it holds now; None: it is gone."""
+    """A damaged file: by which rule, where, and what it holds now; None: it is gone; else what makes it something
+    else than a file."""
 
     rule: str
     place: str
-    data: bytes | None
+    data: bytes | Callable[[Path], object] | None
+
+    def lay(self, path: Path) -> None:
+        """Put it in the place of what is there."""
+        if path.is_dir() and not path.is_symlink():
+            path.rmdir()
+        path.unlink(missing_ok=True)
+        if callable(self.data):
+            self.data(path)
+        elif self.data is not None:
+            path.write_bytes(self.data)
 
 
 class Skip(Exception):
@@ -137,6 +152,32 @@ def _swapped(values: np.ndarray) -> np.ndarray:
     return np.concatenate([values[..., [1, 0]], values[..., 2:]], axis=-1)
 
 
+def _first(word: Any) -> Callable[[Any], Any]:
+    """The first number is ``word`` instead: in text, which can hold anything."""
+
+    def changed(value: Any) -> Any:
+        if isinstance(value, np.ndarray) or not _is_numbers(value):
+            raise Skip
+        return [changed(value[0]), *value[1:]] if isinstance(value, list) else word
+
+    return changed
+
+
+def _deep(value: Any) -> Any:
+    if isinstance(value, np.ndarray):
+        raise Skip
+    for _ in range(400):
+        value = [value]
+    return value
+
+
+def _frozen(rows: Any) -> Any:
+    """The second half stands still at its first row."""
+    half = len(rows) // 2
+    still = [*rows[:half], *[rows[half]] * (len(rows) - half)]
+    return np.array(still, rows.dtype) if isinstance(rows, np.ndarray) else still
+
+
 def _text(value: Any) -> Any:
     if isinstance(value, np.ndarray) and value.dtype.kind == "U" and not value.ndim:
         return np.array("nobody")
@@ -158,6 +199,16 @@ FIELD: dict[str, Callable[[Any], Any]] = {
     "unit": _numbers(_floats_only(lambda values: values * 1000)),
     "order": _rows(_reversed),
     "text": _text,
+    "null": _first(None),
+    "truth": _first(True),
+    "NaN in words": _first("NaN"),
+    "decimal comma": _first("1,5"),
+    "endless": _first(10**400),
+    "deep": _deep,
+    "zero": _numbers(lambda values: values * 0),
+    "byte order": _numbers(lambda values: values.byteswap()),
+    "frozen": _rows(_frozen),
+    "late": _rows(lambda rows: [*rows[-1:], *rows[:-1]] if isinstance(rows, list) else np.roll(rows, 1, axis=0)),
     "mirrored": _numbers(_of_pictures(lambda values: values[:, ::-1])),
     "swapped": _numbers(_swapped),
 }
@@ -169,6 +220,10 @@ FILE: dict[str, Callable[[bytes], bytes]] = {
     "file: a page": lambda data: b"<html>404</html>",
     "file: a pickle": lambda data: b"cos\nsystem\n(S'touch x'\ntR.",
     "file: deep": lambda data: b"[" * 100_000,
+    "file: twice": lambda data: data + data,
+    "file: packed": gzip.compress,
+    "file: a hole": lambda data: data[: len(data) // 3] + bytes(len(data) // 3) + data[len(data) // 3 * 2 :],
+    "encoding: decimal commas": lambda data: re.sub(rb"(\d)\.(\d)", rb"\1,\2", data),
     "encoding: utf-16": lambda data: data.decode("utf-8", "replace").encode("utf-16"),
     "encoding: latin-1": lambda data: b"\xe4\xf6" + data,
 }
@@ -176,8 +231,16 @@ HARMLESS: dict[str, Callable[[bytes], bytes]] = {
     "byte order mark": lambda data: b"\xef\xbb\xbf" + data,
     "CRLF": lambda data: data.replace(b"\n", b"\r\n"),
 }
+PLACES: dict[str, Callable[[Path], object]] = {
+    "place: a folder": Path.mkdir,
+    "place: a loop of links": lambda path: path.symlink_to(path.name),
+    "place: a link to nothing": lambda path: path.symlink_to("nowhere"),
+    "place: a pipe": os.mkfifo,
+    "place: closed": lambda path: (path.write_bytes(b"{}"), path.chmod(0)),
+}
 NAMES = [
-    "$(touch x)", "`touch x`", "a&b", "..", ".", "/etc", "-rf", "a\nb", "a;b", "a{b}", "", "a" * 101, "a  b",
+    "$(touch x)", "`touch x`", "a&b", "..", ".", "/etc", "-rf", "a\nb", "a;b", "a{b}", "", "a" * 101, "a  b", "a:b",
+    "\u202ea", "a\u200bb", "\N{CAMERA}1",
 ]  # fmt: skip
 
 
@@ -237,6 +300,7 @@ def _trees(tree: Any) -> Iterator[tuple[str, tuple, Any]]:
 def variants(suffix: str, whole: bytes, other: bytes | None = None) -> Iterator[Variant]:
     """Every damage of a file: of its fields, of the whole of it, and put in the place of ``other`` (its content)."""
     yield Variant("file: gone", "", None)
+    yield from (Variant(rule, "", put) for rule, put in PLACES.items())
     yield from (Variant(rule, "", change(whole)) for rule, change in FILE.items())
     if other is not None:
         yield Variant("exchanged", "", other)

@@ -22,7 +22,7 @@ from studiorecon.scene.user_files import read_npz
 
 from tests.faults import captures
 from tests.faults.campaign import Subject, most_held_mb, outcomes, reading, same, verdict, wrong
-from tests.faults.rules import HARMLESS, NAMES
+from tests.faults.rules import HARMLESS, NAMES, Variant
 from tests.made.file_contents import npy, npz
 from tests.made.nouns import NOUNS
 from tests.made.user_files import OPENPOSE, READERS, Reader
@@ -51,7 +51,7 @@ def test_a_whole_file_and_another_one_are_read(name: str, tmp_path: Path) -> Non
     subject = Subject.of_noun(NOUNS[name], tmp_path)
     right = reading(subject)
     assert same(right[0], subject.read(subject.path))
-    assert verdict(subject, subject.whole, right) == "right"
+    assert verdict(subject, Variant("", "", subject.whole), right) == "right"
     assert subject.other != subject.whole
 
 
@@ -128,7 +128,7 @@ def test_keypoints_without_scores_all_count_and_it_is_said(tmp_path: Path, capsy
 
 @pytest.mark.slow
 def test_nothing_that_changes_a_whole_capture_is_silent() -> None:
-    wrong_ones = [one for one in captures.outcomes(every=3) if captures.wrong(*one)]
+    wrong_ones = [one for one in captures.outcomes(every=4) if captures.wrong(*one)]
     assert not wrong_ones
 
 

@@ -13,7 +13,7 @@ from studiorecon.camera_files.lens_kinds import coefficients, lens_model
 from studiorecon.camera_files.raw_camera import RawCamera, camera_from_world_of_pose, intrinsics_matrix
 from studiorecon.errors import UserError
 from studiorecon.scene.files import read_json
-from studiorecon.scene.user_values import short_text
+from studiorecon.scene.user_values import numbers, short_text
 
 if TYPE_CHECKING:
     from jaxtyping import Num
@@ -78,7 +78,7 @@ def camera_name(frame: dict[str, Any]) -> str:
 
 def _camera(lens: dict[str, Any], source_from_file: np.ndarray, where: str) -> tuple[RawCamera, float]:
     try:
-        width, height = float(lens["w"]), float(lens["h"])
+        width, height = numbers([lens["w"], lens["h"]], f"{where}: its w and h").tolist()
         fx = float(lens["fl_x"]) if "fl_x" in lens else width / 2 / np.tan(float(lens["camera_angle_x"]) / 2)
         if not isinstance(lens.get("file_path", ""), str):
             raise UserError(f"{where}: its file_path is {short_text(lens['file_path'])}; it must name the picture")

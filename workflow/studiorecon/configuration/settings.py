@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 import dataclasses
+import sys
 import types
 import typing
 from collections.abc import Mapping, Sequence
@@ -94,13 +95,14 @@ def literal_keys(kind: Any) -> tuple[str, ...]:
 
 def _scalar(value: Any, kind: type, where: str) -> Any:
     # bool is an int in Python, and YAML reads 1e-4 as a string: both user errors deserve a sentence of their own.
-    if kind is float and isinstance(value, (int, float)) and not isinstance(value, bool):
+    number = isinstance(value, (int, float)) and not isinstance(value, bool)
+    if kind is float and number and abs(value) <= sys.float_info.max:
         return float(value)
     if kind is int and isinstance(value, int) and not isinstance(value, bool):
         return value
     if kind in (bool, str) and isinstance(value, kind):
         return value
-    raise UserError(f"setting {where} is {value!r}; it must be {_NAMES.get(kind, str(kind))}")
+    raise UserError(f"setting {where} is {value!r:.60}; it must be {_NAMES.get(kind, str(kind))}")
 
 
 _NAMES = {float: "a number (write 1.0e-4, not 1e-4)", int: "a whole number", bool: "true or false", str: "text"}

@@ -21,15 +21,15 @@ if TYPE_CHECKING:
 _PNG = b"\x89PNG\r\n\x1a\n"
 
 
-def read_image(path: Path, flags: int, cure: str = "replace it") -> Shaped[np.ndarray, "H W ..."]:
+def read_image(path: Path, flags: int, cure: str = "") -> Shaped[np.ndarray, "H W ..."]:
     """The picture of a file as decoded by OpenCV (BGR); raises UserError, which ends in ``cure``, if unreadable."""
-    data = read_bytes(path)
+    data = read_bytes(path, remedy=cure)
     try:
         picture = cv2.imdecode(np.frombuffer(data, np.uint8), flags) if _whole(data) else None
     except cv2.error:  # more pixels than it allocates
         picture = None
     if picture is None:
-        raise UserError(f"{path} is not a readable picture; {cure}")
+        raise UserError(f"{path} is not a readable picture; {cure or 'replace it'}")
     return picture
 
 
@@ -56,7 +56,7 @@ def read_plate(
 
     ``wh``: the size of a plate that a step made. Raises UserError naming the file.
     """
-    stored = read_image(path, cv2.IMREAD_UNCHANGED, "replace it" if wh is None else CURE)
+    stored = read_image(path, cv2.IMREAD_UNCHANGED, "" if wh is None else CURE)
     if stored.dtype not in (np.uint8, np.uint16):
         raise UserError(f"{path} holds {stored.dtype} numbers; save it as an 8- or 16-bit picture")
     if stored.ndim == 2:

@@ -63,13 +63,19 @@ def open_dataset(folder: Path, capture_yaml: Path | None = None) -> Dataset:
 
 
 def _opened(folder: Path, description: dict[str, Any]) -> Dataset:
-    recordings = find_recordings(check_path(folder), chapters(description))
+    named = chapters(description)
+    recordings = find_recordings(check_path(folder), named)
     films = {compose_unicode(camera): parts for camera, parts in recordings.films.items()}
-    if strange := [camera for camera in chapters(description) if camera not in films]:
-        raise UserError(
-            f"capture.yaml: chapters names films of {strange[0]} that are not in {recordings.place}; paths are "
-            f"relative to {folder}"
-        )
+    if len(films) < len(recordings.films):
+        several = [compose_unicode(camera) for camera in recordings.films]
+        twice = next(camera for camera in several if several.count(camera) > 1)
+        raise UserError(f"{recordings.place} holds two cameras named {twice!r} in different Unicode forms; rename one")
+    for camera, names in named.items():
+        if not names or [PurePath(name).name for name in names] != [path.name for path in films.get(camera, ())]:
+            raise UserError(
+                f"capture.yaml: chapters names films of {camera} that are not in {recordings.place}; paths are "
+                f"relative to {folder}"
+            )
     for camera, path in films.items():
         check_name(camera, f"camera {path[0]}", "rename the file or folder")
     every = {camera: parts[0] for camera, parts in films.items()}
@@ -150,10 +156,9 @@ def _check_there(dataset: Dataset) -> None:
     films = [film for camera, first in dataset.footage.items() for film in dataset.chapters.get(camera, (first,))]
     nouns = (dataset.keypoints, dataset.plates, dataset.masks, dataset.depth)
     for path in (*films, *dataset.calibration, *(entry for noun in nouns for entry in noun.values())):
-        is_folder = path.is_dir() and path not in dataset.calibration
-        if not is_folder:
+        if not path.is_dir() or path in dataset.calibration:
             file_size(path)
-        if not os.access(path, os.R_OK | os.X_OK if is_folder else os.R_OK):
+        elif not os.access(path, os.R_OK | os.X_OK):
             raise not_permitted(path)
 
 

@@ -75,6 +75,10 @@ def find_recordings(folder: Path, chapters: Mapping[str, Sequence[str]]) -> Reco
         found = _recordings(_films(others[0]), others[0], folder, chapters)
         return Recordings(found.films, found.place, (f"films are taken from {others[0].name}/", *found.notes))
     several = f"; {', '.join(p.name + '/' for p in others)} hold films: name the right one videos/" if others else ""
+    for path in folder.iterdir():
+        if fold_name(path.name) in VIDEO_FOLDERS and not path.is_dir():
+            to = f"a link to {path.readlink()}, which is no folder" if path.is_symlink() else "no folder"
+            several = f"; {path.name} is {to}"
     raise UserError(
         f"dataset {folder} has neither videos/*.mp4 (or mov, mkv, …) nor images/<camera>/*.png (or jpg): put one video "
         f"per camera there{several}"
@@ -133,7 +137,9 @@ def _recordings(films: Sequence[Path], place: Path, folder: Path, chapters: Mapp
             named[camera] = listed
             if strange := [path for path in listed if path not in films]:
                 raise UserError(f"capture.yaml: chapters of {camera} names {strange[0]}, which is no film of {place}")
-    taken = {film for listed in named.values() for film in listed}
+    taken = [film for listed in named.values() for film in listed]
+    if again := [film for film in taken if taken.count(film) > 1]:
+        raise UserError(f"capture.yaml: chapters names {again[0]} twice; keep one")
     joined = _joined([film for film in films if film not in taken])
     stems = [parts[0].stem for parts in joined]
     if twice := next((stem for stem in [*stems, *named] if [*stems, *named].count(stem) > 1), None):

@@ -57,7 +57,7 @@ def keypoints_of_chapters(dataset: Dataset) -> dict[str, tuple[Path, ...]]:
         if camera not in dataset.keypoints:
             continue
         place = dataset.keypoints[camera].parent.relative_to(dataset.folder).as_posix()
-        entries = files_by_camera(dataset.folder, place, True, [part.stem for part in parts], _KEYPOINTS)
+        entries = files_by_camera(dataset.folder, place, False, [part.stem for part in parts], _KEYPOINTS)
         if len(entries) == len(parts):
             found[camera] = tuple(entries[part.stem] for part in parts)
         elif len(entries) > 1:

@@ -80,7 +80,10 @@ def pair_by_name(cameras: Sequence[str], entries: Iterable[Path]) -> dict[str, P
 def files_by_camera(
     folder: Path, name: str, required: bool, cameras: Iterable[str], suffixes: Sequence[str]
 ) -> dict[str, Path]:
-    """camera → its entry in the folder ``name`` with one of these suffixes; empty without the folder."""
+    """camera → its entry in the folder ``name`` with one of these suffixes; empty without the folder.
+
+    Where it is ``required``, raises UserError unless it is a folder with an entry for a camera.
+    """
     base = folder / name
     if not base.is_dir():
         if required:
@@ -88,4 +91,10 @@ def files_by_camera(
         return {}
     kinds = {path: "" if path.is_dir() else path.suffix.lower() for path in sorted(base.iterdir())}
     entries = [path for path, kind in kinds.items() if kind in suffixes and not is_system_file(path)]
-    return pair_by_name(list(cameras), sorted(entries, key=lambda path: suffixes.index(kinds[path])))
+    found = pair_by_name(list(cameras), sorted(entries, key=lambda path: suffixes.index(kinds[path])))
+    if required and not found:
+        raise UserError(
+            f"capture.yaml names {base}, which holds nothing for a camera; name its entries after the cameras "
+            f"({', '.join(cameras)}), or take the line out"
+        )
+    return found

@@ -64,7 +64,7 @@ def read_ply(path: Path, remedy: str = CURE) -> Gaussians:
     UserError with the file's name and ``remedy`` for any other layout.
     """
     try:
-        return _gaussians(path, read_bytes(path))
+        return _gaussians(path, read_bytes(path, remedy=remedy))
     except ValueError as error:
         raise UserError(f"{path} {error}; {remedy}") from None
 

@@ -38,6 +38,7 @@ MAX_TEXT_BYTES = 2**30
 MAX_ARRAY_BYTES = 2**33
 """The largest size of one file's arrays in memory."""
 _MAX_REPEATED = 200
+_BRING = "bring the file itself"
 _COPY = "it may have been copied only in part: copy it again, or write it again with the program that made it"
 # Errors of parsing a damaged header, which is a Python literal.
 _BROKEN_HEADER = (ValueError, TypeError, SyntaxError, OverflowError, RecursionError, MemoryError)
@@ -46,41 +47,42 @@ _OTHER_BASE = re.compile(r"[-+]?(0[0-9xXbB_].*|.*:.*)")
 _WIDE = {b"\xff\xfe": "UTF-16", b"\xfe\xff": "UTF-16"}
 
 
-def not_permitted(path: Path, error: OSError | None = None) -> UserError:
-    """The refusal of a file or folder that ``error`` keeps closed, with the command that opens it."""
+def not_permitted(path: Path, error: OSError | None = None, remedy: str = "") -> UserError:
+    """The refusal of a file or folder that ``error`` keeps closed, with the command that opens it; or of a link to
+    nothing."""
+    if os.path.islink(path) and not os.path.exists(path):
+        return UserError(f"{path} is a link to {path.readlink()}, which does not exist; {remedy or _BRING}")
     closed = next((folder for folder in reversed(path.absolute().parents) if not os.access(folder, os.X_OK)), None)
     why = error.strerror if error else "Permission denied"
     return UserError(f"{path} cannot be read ({why}); permit it: chmod -R u+rX {shlex.quote(str(closed or path))}")
 
 
-def read_bytes(path: Path, most: int = MAX_ARRAY_BYTES) -> bytes:
+def read_bytes(path: Path, most: int = MAX_ARRAY_BYTES, remedy: str = "") -> bytes:
     """The bytes of a regular file.
 
-    Raises UserError when it is missing, a folder, a device, not readable, or larger than ``most`` bytes.
+    Raises UserError, with ``remedy``, for a missing file, a folder, a device, a closed file, or more than ``most``
+    bytes.
     """
-    size = file_size(path)
+    size = file_size(path, remedy)
     if size > most:
         raise UserError(f"{path} has {size / 2**20:.0f} MiB; at most {most / 2**20:.0f} MiB are read: is it the file?")
-    try:
-        return path.read_bytes()
-    except OSError as error:
-        raise not_permitted(path, error) from None
+    return path.read_bytes()
 
 
-def file_size(path: Path) -> int:
+def file_size(path: Path, remedy: str = "") -> int:
     """Size of a regular file in bytes; raises UserError as ``read_bytes`` does."""
     try:
         if path.is_dir():
-            raise UserError(f"{path} is a folder where a file is expected; name the file in it")
-        if path.is_symlink() and not path.exists():
-            raise UserError(f"{path} is a link to {path.readlink()}, which does not exist; bring the file itself")
-        if not path.exists():
+            raise UserError(f"{path} is a folder where a file is expected; {remedy or 'name the file in it'}")
+        if not path.exists() and not path.is_symlink():
             raise UserError(f"{path} is missing")
-        if not path.is_file():
-            raise UserError(f"{path} is no regular file; bring the file itself")
+        if path.exists() and not path.is_file():
+            raise UserError(f"{path} is no regular file; {remedy or _BRING}")
+        if not os.access(path, os.R_OK):
+            raise not_permitted(path, remedy=remedy)
         return path.stat().st_size
     except OSError as error:
-        raise not_permitted(path, error) from None
+        raise not_permitted(path, error, remedy) from None
 
 
 def read_text(path: Path, remedy: str = "") -> str:
@@ -88,7 +90,7 @@ def read_text(path: Path, remedy: str = "") -> str:
 
     Raises UserError, with the line and ``remedy``, for UTF-16, binary files and other encodings.
     """
-    data = read_bytes(path, MAX_TEXT_BYTES)
+    data = read_bytes(path, MAX_TEXT_BYTES, remedy)
     if data[:2] in _WIDE:
         raise UserError(f"{path} is {_WIDE[data[:2]]} text; {remedy or 'save it as UTF-8'}")
     try:
@@ -235,7 +237,7 @@ def read_npz(
 
     Raises UserError, with ``remedy``, for pickled objects, damage, and more than ``most`` bytes, before loading any.
     """
-    file_size(path)
+    file_size(path, "" if remedy is _COPY else remedy)
     try:
         with zipfile.ZipFile(path) as archive:
             members = [info for info in archive.infolist() if info.filename.endswith(".npy")]

@@ -100,6 +100,8 @@ def numbers(value: Any, where: str, *, finite: bool = True) -> Float[np.ndarray,
     """
     try:
         array = np.asarray(value)
+        if _holds_truth(value):
+            raise ValueError
         if array.dtype == object and _plain(array):
             array = np.array([math.nan if v is None else v for v in array.reshape(-1)], float).reshape(array.shape)
         if isinstance(value, np.ndarray) and array.dtype.kind not in "iufO":
@@ -112,6 +114,12 @@ def numbers(value: Any, where: str, *, finite: bool = True) -> Float[np.ndarray,
     if finite and not np.isfinite(array).all():
         raise UserError(f"{where} holds a number that is not finite ({short_text(value)})")
     return array
+
+
+def _holds_truth(value: Any) -> bool:
+    """Whether lists hold true or false, which NumPy would count as 1 or 0."""
+    kinds = set(map(type, value)) if isinstance(value, (list, tuple)) else set()
+    return bool in kinds or (not kinds.isdisjoint((list, tuple)) and any(map(_holds_truth, value)))
 
 
 def _plain(array: np.ndarray) -> bool:
