@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 from studiorecon.errors import UserError
 from studiorecon.keypoints.file_numbers import number_names
-from studiorecon.keypoints.readers import read_keypoints
+from studiorecon.keypoints.readers import MAX_PEOPLE_PER_PICTURE, read_keypoints
 from studiorecon.scene.recorded_keypoints import RecordedKeypoints, read_recorded, write_recorded
 
 # Two people in picture 0, nobody in 1, one in 2.
@@ -220,3 +220,50 @@ def test_what_was_read_survives_its_file_and_a_cut_one_is_named(tmp_path: Path) 
     )
     with pytest.raises(UserError, match=r"r\.npz"):
         read_recorded(tmp_path / "r.npz")
+
+
+VALUES = {
+    "no number": ([np.nan, 2, 0.9], "1 of 40 keypoints are not numbers"),
+    "infinite score": ([1, 2, np.inf], "1 of 40 keypoints are not numbers"),
+    "outside of any picture": ([1e30, 2, 0.9], "1 of 40 keypoints are not numbers or outside of any picture"),
+    "score below 0": ([1, 2, -0.5], "1 of 40 scores are below 0"),
+    "gap": ([np.nan, np.nan, np.nan], ""),
+    "missing": ([0, 0, -1], ""),
+}
+
+
+@pytest.mark.parametrize("case", VALUES)
+def test_keypoints_that_are_nowhere_are_left_out_and_counted(
+    case: str, tmp_path: Path, capsys: pytest.CaptureFixture
+) -> None:
+    value, said = VALUES[case]
+    points = np.tile([10.0, 20.0, 0.8], (2, 1, 20, 1))
+    points[1, 0, 3] = value
+    np.savez(tmp_path / "k.npz", keypoints=points)
+    found = read_keypoints(tmp_path / "k.npz")
+    assert said in (out := capsys.readouterr().out)
+    assert bool(out) == bool(said)
+    assert not found.keypoints[1, 3, 2] > 0
+    np.testing.assert_array_equal(np.delete(found.keypoints.reshape(40, 3), 23, 0), np.tile([10, 20, 0.8], (39, 1)))
+
+
+@pytest.mark.parametrize("kind", [complex, bool, "U4", "M8[s]", [("x", "f4")]], ids=str)
+def test_arrays_of_no_real_numbers_are_named_by_their_kind(kind: Any, tmp_path: Path) -> None:
+    array = np.zeros((2, 1, 17, 3), kind)
+    np.savez(tmp_path / "k.npz", keypoints=array)
+    with pytest.raises(UserError, match=r"k\.npz: keypoints: the array holds .*; it must hold real numbers"):
+        read_keypoints(tmp_path / "k.npz")
+
+
+def test_keypoints_without_scores_all_count_and_it_is_said(tmp_path: Path, capsys: pytest.CaptureFixture) -> None:
+    people = [[{"keypoints": [[10.0, 20.0]] * 17}], [{"keypoints": [[11.0, 20.0]] * 17}]]
+    (tmp_path / "k.json").write_text(json.dumps(people))
+    assert (read_keypoints(tmp_path / "k.json").keypoints[..., 2] == 1).all()
+    assert "k.json has no scores" in capsys.readouterr().out
+
+
+def test_a_crowd_beyond_the_limit_is_refused_with_its_frame(tmp_path: Path) -> None:
+    people = [{"pose_keypoints_2d": flat(0)}] * (MAX_PEOPLE_PER_PICTURE + 1)
+    (tmp_path / "cam_0007.json").write_text(json.dumps({"people": people}))
+    with pytest.raises(UserError, match=r"frame 7: 501 detections .* at most 500"):
+        read_keypoints(tmp_path)

@@ -58,10 +58,10 @@ HALF, _LEVELS = 15, 8.0
 
 
 FREE = (
-    # Other frames are chosen, and the log's line of moments says which.
-    r"capture\.yaml: missing at frames.*",
+    r"capture\.yaml: missing at frames.*",  # other frames are chosen, and the log's line of moments says which
+    r"film lacks frames at ",  # people move by less than their width in a fifth of a second
 )
-"""Where another capture is as whole as this one, and why."""
+"""Where another capture is as whole as this one, or cannot be told from it, and why."""
 
 
 @dataclass(frozen=True)
@@ -196,10 +196,9 @@ def verdict(dataset: Path, right: Outcome) -> tuple[str, str]:
 
 
 def exchange(one: Path, other: Path) -> None:
-    between = one.with_name("between")
-    one.rename(between)
-    other.rename(one)
-    between.rename(other)
+    other.rename(one.rename(one.with_name("between")).parent / "waiting")
+    one.with_name("between").rename(other)
+    other.with_name("waiting").rename(one)
 
 
 def film(change: Callable[[np.ndarray], np.ndarray]) -> Callable[[Path], None]:

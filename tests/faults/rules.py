@@ -279,20 +279,8 @@ def _trees(tree: Any) -> Iterator[tuple[str, tuple, Any]]:
             except Skip:
                 continue
         if isinstance(value, dict):
-            yield (
-                "unknown",
-                path,
-                _replaced(
-                    tree,
-                    path,
-                    {
-                        **value,
-                        "unheard": np.zeros(1)
-                        if path == () and any(isinstance(v, np.ndarray) for v in value.values())
-                        else 1,
-                    },
-                ),
-            )
+            arrays = path == () and any(isinstance(v, np.ndarray) for v in value.values())
+            yield "unknown", path, _replaced(tree, path, {**value, "unheard": np.zeros(1) if arrays else 1})
             for key in value:
                 yield "missing", (*path, key), _replaced(tree, path, {k: v for k, v in value.items() if k != key})
 

@@ -11,7 +11,8 @@ import numpy as np
 import pytest
 from studiorecon.clocks import offsets
 from studiorecon.errors import UserError
-from studiorecon.footage.duplicate_films import duplicate_film_note, same_view, static_image
+from studiorecon.footage.duplicate_films import compare_views, same_view, static_image
+from studiorecon.footage.frames import decode
 from studiorecon.footage.source import open_source
 from studiorecon.footage.video import write_watchable
 from studiorecon.plan.discovery import open_dataset
@@ -61,7 +62,7 @@ def test_the_same_pictures_in_another_file_await_the_footage(tmp_path: Path, fir
 
 def test_cameras_of_one_room_are_not_one_film(tmp_path: Path) -> None:
     sources = {c: open_source(film(tmp_path / f"{c}.mp4", seed), 0.0) for seed, c in enumerate("abcd")}
-    assert duplicate_film_note(sources) == ""
+    assert compare_views(sources)[0] == ""
 
 
 def test_a_phone_taped_to_another_is_another_camera() -> None:
@@ -82,5 +83,24 @@ def test_a_film_that_cannot_be_read_is_told_and_the_others_are_compared(
     sources = {c: open_source(film(tmp_path / f"{c}.mp4", 0, 3 * k), 0.0) for k, c in enumerate("abc")}
     whole = (tmp_path / "a.mp4").read_bytes()
     (tmp_path / "a.mp4").write_bytes(whole[:200])
-    assert duplicate_film_note(sources).startswith("cameras b and c show the same picture")
+    assert compare_views(sources)[0].startswith("cameras b and c show the same picture")
     assert "a.mp4" in capsys.readouterr().out
+
+
+CHANGES = {
+    "steady": lambda picture: picture,
+    "darker": lambda picture: picture // 2,
+    "moved": lambda picture: np.roll(picture, 8, axis=1),
+    "mirrored": lambda picture: picture[:, ::-1],
+    "another film": lambda picture: room(1),
+}
+
+
+@pytest.mark.parametrize("change", CHANGES)
+def test_a_view_that_changes_within_a_film_is_named(change: str, tmp_path: Path) -> None:
+    film(tmp_path / "a.mp4", 0)
+    pictures = list(decode(open_source(tmp_path / "a.mp4", 0.0), 0, 0))
+    write_watchable(tmp_path / "b.mp4", pictures[:20] + [CHANGES[change](p) for p in pictures[20:]], 30.0, 18)
+    said = compare_views({"b": open_source(tmp_path / "b.mp4", 0.0)})[1]
+    assert len(said) == (change not in ("steady", "darker"))
+    assert all(sentence.startswith("camera b shows another view in frame 33 of its film") for sentence in said)

@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 import json
+import zipfile
 from pathlib import Path
 
 import numpy as np
@@ -14,7 +15,11 @@ from studiorecon.errors import UserError
 from studiorecon.plan.discovery import open_dataset
 from studiorecon.scene.camera import Camera, Lens
 from studiorecon.scene.files import atomic_path, read_json, read_table, write_json
+from studiorecon.scene.numbered_files import missing_numbers_text, pictures_in
 from studiorecon.scene.path import PathStep, read_path, write_path
+from studiorecon.scene.user_files import read_npz
+
+from tests.made.file_contents import npy
 
 
 def camera(name: str, seed: int) -> Camera:
@@ -150,3 +155,21 @@ class TestDataset:
         (folder / "videos" / "01.mov").touch()
         with pytest.raises(UserError, match="more than one video named '01'"):
             open_dataset(folder)
+
+
+def test_an_array_that_promises_more_than_it_holds_reserves_nothing(tmp_path: Path) -> None:
+    whole = npy(np.zeros((4, 4)))
+    promised = whole.replace(b"(4, 4)", b"(4, 9999999999)").replace(b" " * 9 + b"\n", b"\n", 1)
+    with zipfile.ZipFile(tmp_path / "k.npz", "w") as archive:
+        archive.writestr("keypoints.npy", promised)
+    with pytest.raises(UserError, match=r"promises|not a readable array"):
+        read_npz(tmp_path / "k.npz")
+
+
+def test_numbered_pictures_come_in_the_order_of_their_numbers_and_gaps_are_named(tmp_path: Path) -> None:
+    for number in (*range(12), 14, 15, 20):
+        (tmp_path / f"{number}.png").touch()
+    found = pictures_in(tmp_path)
+    assert [int(p.stem) for p in found] == [*range(12), 14, 15, 20]
+    assert missing_numbers_text(found) == "12, 13, 16 and 3 more"
+    assert missing_numbers_text(found[:12]) == ""

@@ -22,7 +22,7 @@ from studiorecon.clocks.posterior import MAX_HALF_S, Offset, choose_reference, e
 from studiorecon.clocks.timeline import Timeline, clock_as_filmed, common_moments, read_timeline
 from studiorecon.configuration.setting import setting
 from studiorecon.errors import UserError
-from studiorecon.footage.duplicate_films import duplicate_film_note
+from studiorecon.footage.duplicate_films import compare_views
 from studiorecon.footage.sound_track import read_sound
 from studiorecon.footage.source import FootageSource, PictureRate, open_source, timing_irregularities
 from studiorecon.keypoints.film_colours import colour_notes
@@ -244,10 +244,10 @@ def run(
         names, promised = [f"{s.parent.name}/{s.name}" for s in sources], [s.announced for s in opened if s]
         common = replace(common, refusal=different_lengths_note(made, names, unsure, promised))
     films = {camera: source for camera, source in zip(cameras, opened) if source is not None}
-    unlike = colour_notes(films, map(read_detections, sightings))
+    twice, moved = compare_views(films)
+    unlike = [*colour_notes(films, map(read_detections, sightings)), *moved]
     for sentence in unlike:
         warn(sentence)
-    twice = duplicate_film_note(films)
     common = replace(common, refusal=twice or common.refusal)
     write_json(findings, {"sync": settings.sync, "given": dict(given), "cameras": found, "films": unlike})
     write_clocks(clocks, common)
