@@ -20,7 +20,7 @@ report: "workflow/report/workflow.rst"
 
 wildcard_constraints:
     scene="[^/]+",
-    camera=one_of_pattern(PLAN.cameras),
+    camera=camera_pattern(PLAN.cameras),
     person=r"p\d+",
     segment=r"\d+",
     picture=r"\d+",

@@ -49,7 +49,7 @@ def test_resizing_keeps_rays() -> None:
 
 def test_colmap_model_survives(tmp_path: Path) -> None:
     cameras = [camera("cam 1", 5), camera("02", 6)]
-    write_model(tmp_path, cameras, np.array([[1.0, 2, 3]]), np.array([[1.0, 0.5, 0]]))
+    write_model(tmp_path, cameras, np.array([[1.0, 2, 3]]))
     for before, after in zip(cameras, read_model(tmp_path)):
         assert (before.name, before.wh) == (after.name, after.wh)
         np.testing.assert_array_equal(before.intrinsics, after.intrinsics)
