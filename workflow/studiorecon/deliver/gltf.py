@@ -31,6 +31,8 @@ if TYPE_CHECKING:
 _COMPONENT_TYPES = {"float32": 5126, "uint8": 5121, "uint16": 5123, "uint32": 5125}
 _TARGETS = {"vertices": 34962, "indices": 34963, "": None}
 _KINDS = {1: "SCALAR", 3: "VEC3", 4: "VEC4", 16: "MAT4"}
+# Joints that move a vertex: glTF has room for four at once.
+BONES = 4
 _MAX_BYTES = 2**32 - 1  # lengths in a GLB are 32 bits
 
 
@@ -62,8 +64,7 @@ class Buffer:
 
 def strongest_bones(weights: Float[np.ndarray, "V 24"]) -> tuple[Integer[np.ndarray, "V 4"], Float[np.ndarray, "V 4"]]:
     """Uint8 joints and float32 weights with sum 1; joints of zero weight are 0, as the specification requires."""
-    # Joints that move a vertex: glTF has room for four at once.
-    joints = np.argsort(-weights, axis=1, kind="stable")[:, :4]
+    joints = np.argsort(-weights, axis=1, kind="stable")[:, :BONES]
     kept = np.take_along_axis(weights, joints, axis=1).astype(np.float64)
     kept /= kept.sum(axis=1, keepdims=True)
     return np.where(kept > 0, joints, 0).astype(np.uint8), kept.astype(np.float32)
