@@ -72,11 +72,11 @@ FREE = {
     ),
     "another digit, letter or pixel": (r".*: bytes at .*",),
     "names that tracks do not have, which association refuses": (r"corrected identities: order at 0",),
-    "another picture of the same kind: plates and masks are compared with the film, depth with stereo and the floor": (
+    "another picture: plates are compared with the film, masks with people, depth with the floor, films in time": (
         rf"(given plate|mask|given depth|depth np[yz]): {_PLAUSIBLE} at .*",
         rf"film: {_PLAUSIBLE} at .*",
     ),
-    "the brought body's own shape or motion": (
+    "the brought body's own shape or motion; its distance to the body model is logged": (
         rf"canonical human: {_PLAUSIBLE} at .*",
         rf"bodies npz: {_PLAUSIBLE} at (id|frame_idx|conf|pred_2d|pred_3d)",
     ),

@@ -160,24 +160,15 @@ def alike(one: Outcome, other: Outcome) -> bool:
         return False
     shares = np.linspace(0, 1, 21)
     moved = np.quantile(first["joints"], shares, axis=0) - np.quantile(second["joints"], shares, axis=0)
-    return (
-        np.array_equal(first["moments"], second["moments"])
-        and bool(np.abs(moved).max() < _MOVED_M)
-        and bool(np.abs(first["pictures"] - second["pictures"]).max() < _LEVELS)
-        and bool(np.abs(first["looks"] - second["looks"]).max() < _MOVED_PX)
-        and bool(np.abs(first["poses"] - second["poses"]).max() < _MOVED_M)
-    )
+    most = {"moments": 1e-6, "pictures": _LEVELS, "looks": _MOVED_PX, "poses": _MOVED_M}
+    apart = {name: np.abs(first[name] - second[name]).max() for name in most}
+    return bool(np.abs(moved).max() < _MOVED_M) and all(apart[name] < most[name] for name in most)
 
 
 def files_of(dataset: Path) -> list[Path]:
     """One of every kind of file of the capture, and all of a camera's keypoints as one."""
-    return [
-        dataset / "keypoints/cam2.npz",
-        dataset / "videos/cam2.mp4",
-        dataset / "extri.yml",
-        dataset / "intri.yml",
-        dataset / "capture.yaml",
-    ]
+    names = ("keypoints/cam2.npz", "videos/cam2.mp4", "extri.yml", "intri.yml", "capture.yaml")
+    return [dataset / name for name in names]
 
 
 def verdict(dataset: Path, right: Outcome) -> tuple[str, str]:

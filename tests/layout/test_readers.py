@@ -12,6 +12,8 @@ PACKAGE = Path(__file__).resolve().parents[2] / "workflow" / "studiorecon"
 OPENERS = {
     "np.load", "np.fromfile", "np.loadtxt", "np.genfromtxt", "json.load", "yaml.load", "cv2.imread",
     "cv2.VideoCapture", "OpenEXR.File", "av.open", "zipfile.ZipFile", "read_bytes", "read_text", "open",
+    "np.memmap", "yaml.safe_load", "cv2.FileStorage", "torch.load", "pickle.load", "tomllib.load",
+    "ElementTree.parse", "cv2.imreadmulti",
 }  # fmt: skip
 DOORS = {"read_json", "read_yaml", "read_toml", "read_xml", "read_rows", "read_table", "read_npz", "read_npy"}
 READERS = {

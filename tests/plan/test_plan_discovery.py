@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import tempfile
 import unicodedata
 from collections.abc import Callable, Iterable
 from pathlib import Path
@@ -20,6 +21,8 @@ from studiorecon.footage.video import write_watchable
 from studiorecon.plan.discovery import open_dataset
 from studiorecon.plan.make import make_plan
 
+from tests.faults.campaign import as_nobody
+from tests.faults.rules import PLACES, Variant
 from tests.made.footage import write_video
 
 GB = 10**9
@@ -353,3 +356,58 @@ def test_a_scene_does_not_take_the_folder_of_what_scenes_share(
     with pytest.raises(UserError, match="--config scene=NAME"):
         make_plan(configured(scene=scene), home)
     make_plan(configured(scene=f"{scene}1"), home)
+
+
+WHOLE = ("videos/a.mp4", "videos/b.mp4", "keypoints/a/0.json", "keypoints/b.npz", "plates/a.png", "identities.tsv")
+
+
+PLACED = ("videos", "videos/a.mp4", "keypoints", "keypoints/b.npz", "plates", "identities.tsv")
+
+
+# A folder may hold a camera's pictures or keypoints.
+@pytest.mark.parametrize(
+    ("rule", "place"), [(r, p) for r in PLACES for p in PLACED if r != "place: a folder" or "/" not in p]
+)
+def test_what_is_closed_or_no_file_of_a_capture_is_named(rule: str, place: str) -> None:
+    """For a user who is not root, too: in a folder that everybody may enter, unlike pytest's own."""
+    with tempfile.TemporaryDirectory() as name:
+        folder, path = Path(name), Path(name) / place
+        folder.chmod(0o755)
+        for number, file in enumerate(WHOLE):
+            (folder / file).parent.mkdir(parents=True, exist_ok=True)
+            (folder / file).write_bytes(b"\n" * number)
+        assert not open_dataset(folder).notes
+        if path.is_dir() and rule == "place: closed":
+            path.chmod(0)
+        else:
+            path.rename(folder / ".away")
+            Variant(rule, "", PLACES[rule]).lay(path)
+        try:
+            with as_nobody():
+                said = "".join(open_dataset(folder).notes)
+        except UserError as refusal:
+            said = str(refusal)
+        finally:
+            if path.exists():
+                path.chmod(0o755)
+    assert place in said
+    assert "\n" not in said
+
+
+@pytest.mark.parametrize(
+    ("films", "described", "named"),
+    [
+        ("a.mp4 b.mp4", "masks: ..", "holds nothing for a camera"),
+        ("a.mp4 b.mp4", "chapters: {a: [videos/a.mp4, videos/a.mp4]}", "a.mp4 twice"),
+        ("a.mp4 b.mp4", "chapters: {a: [../a.mp4]}", "names films of a that are not in"),
+        ("a.mp4 b.mp4", "chapters: {a: []}", "names films of a that are not in"),
+        ("\u00fc.mp4 u\u0308.mp4 b.mp4", "people: 1", "two cameras named 'ü'"),
+    ],
+)
+def test_what_capture_yaml_names_and_nothing_fits_is_refused(
+    made: Callable[..., Path], films: str, described: str, named: str
+) -> None:
+    folder = made([f"videos/{film}" for film in films.split()])
+    (folder / "capture.yaml").write_text(described + "\n")
+    with pytest.raises(UserError, match=named):
+        open_dataset(folder)

@@ -71,7 +71,9 @@ def _opened(folder: Path, description: dict[str, Any]) -> Dataset:
         twice = next(camera for camera in several if several.count(camera) > 1)
         raise UserError(f"{recordings.place} holds two cameras named {twice!r} in different Unicode forms; rename one")
     for camera, names in named.items():
-        if not names or [PurePath(name).name for name in names] != [path.name for path in films.get(camera, ())]:
+        used = films.get(camera, ())
+        listed = [path for path, name in zip(used, names) if path in (folder / name, path.parent / name)]
+        if not len(listed) == len(used) == len(names) > 0:
             raise UserError(
                 f"capture.yaml: chapters names films of {camera} that are not in {recordings.place}; paths are "
                 f"relative to {folder}"
