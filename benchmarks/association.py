@@ -1,6 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Who is who on a made take: our association beside the paper's and its single terms: ``python -m
-benchmarks.association``.
+"""Accuracy of association on a made take, ours, the paper's and single terms: ``python -m benchmarks.association``.
 
 Three people cross in the middle of the synthetic studio's room, four cameras 90° apart, 1280×704, with everybody's
 occlusions by ray casting. Keypoints: 3 px noise, 5 % outliers of 40 to 200 px, 10 % drop-outs, a false person in 5 % of

@@ -1,6 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What makes the empty room look right from cameras that were never there: as it is, with one thing changed, and the
-baselines.
+"""Scores of the empty room at held-out cameras: the defaults, one change at a time, and the baselines.
 
     snakemake --cores 2 results/demo/background/scene.ply results/demo/cameras/heldout/images.txt     # once: makes the
     inputs python -m benchmarks.background [--scene results/demo] [--truth results/studio/demo/truth] [--seeds 0 1]

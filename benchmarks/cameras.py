@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What checking, refining and finding cameras costs and reaches, on planted truth and on real captures. Run by hand.
+"""Cost and accuracy of checking, refining and estimating cameras, on planted truth and real captures. Run by hand.
 
     OMP_NUM_THREADS=1 STUDIORECON_REAL_DATA=... python -m benchmarks.cameras [--seeds 5] [--pose2sim PYTHON]
 
@@ -7,9 +7,8 @@ Prints a table and writes benchmarks/results/cameras.json. Seconds are this proc
 time, because other work on the machine counts in the latter. Bars: refinement ≤ 2 s; the doctor < 60 s; cameras found
 from 60 frames of two people at 3 px within 1° and 3 cm; board corners ≤ 1.1 px median and lengths within 0.5 %; the
 real man ≤ 25 mm from body to triangulated keypoints, ≤ 7 px median. ``--pose2sim`` is the Python of an environment with
-that package: both triangulate the same keypoints of the same calibration, and are judged on the keypoints that both
-call seen (likelihood
-0.4).
+that package: both triangulate the same keypoints with the same calibration, and are compared on keypoints that both use
+(likelihood 0.4).
 """
 
 from __future__ import annotations

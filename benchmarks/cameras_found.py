@@ -1,20 +1,20 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Cameras found from the films alone, without any calibration, against known ones.
+"""Errors of cameras that are estimated from the films alone, without a calibration.
 
 ``python -m benchmarks.cameras_found [--folder DIR] [--takes made demo man] [--room edges]`` from the repository's root;
 writes ``benchmarks/results/cameras_found.json``. People are found in the films by the embedded detector; focal lengths
 are given or not, and one height, which is what the calibration makes of the people's bones. Bars: relative rotation of
 any two cameras ≤ 1.0°, direction of their baselines ≤ 2°, lengths ≤ 3 % off, and a stated interval (95 %) that covers
-the truth. DIR keeps the films and what the detector found. ``--room nothing`` or ``edges``: the same without what the
-empty room shows, or without its floor.
+the truth. DIR keeps the films and detections. ``--room nothing`` or ``edges``: without evidence of the empty room, or
+without its floor.
 
 ``made`` needs no films: seeds with drawn keypoints of people who walk about for 25 s before four cameras with barrel
 distortion (``tests.made.strollers``), focal lengths and k1 unknown; focal lengths must be within 2 %, and stated
 standard deviations are right where 1.96 of them cover the truth in 91 to 98 % of the cameras. ``varied``: the same with
-3 to 8 cameras on arcs and rings, one to three people, lenses alike or not, 5 to 15 frames per second.
+3 to 8 cameras on arcs and rings, one to three people, lenses similar or not, 5 to 15 frames per second.
 
-The demo is exactly known. The man's take has two calibrations, 3.4° off one another (``benchmarks.filmed``); what is
-found is printed against both.
+The demo is exactly known. The man's take has two calibrations, 3.4° off one another (``benchmarks.filmed``); results
+are compared with both.
 """
 
 from __future__ import annotations

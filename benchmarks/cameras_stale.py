@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Cameras that were moved since they were calibrated: how well people put them back. Run by hand.
+"""Errors of cameras that moved since calibration, after refinement on people. Run by hand.
 
     OMP_NUM_THREADS=1 STUDIORECON_REAL_DATA=... python -m benchmarks.cameras_stale [--seeds 8] [--folder DIR]
 

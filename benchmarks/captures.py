@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A real take seen by a camera that was left out: whole, people, background, beside the photos-only baseline.
+"""Scores of a real take at a left-out camera: whole picture, people, background, and the photos-only baseline.
 
     STUDIORECON_REAL_DATA=... python -m benchmarks.captures --folder DIR [--cameras cam01 cam02 …] [--frames 50]
     [--cores 2]

@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
-"""How well clocks are found: planted starts, drift, rates and reverberation in sound; the same without sound, from the
-people that a detector sees; cut frames in a real take's keypoints and in the demo's films.
+"""Errors of time offsets: planted starts, drift, rates and reverberation in sound; the same without sound, from
+detected people; cut frames in a real take's keypoints and in the demo's films.
 
 ``python -m benchmarks.clocks --data DIR --folder FILMS --results benchmarks/results/clocks.json``; DIR holds
-``pose2sim_balancing``, FILMS keeps the demo's films and what the detector found in them. Errors are in frames at the
+``pose2sim_balancing``, FILMS keeps the demo's films and detections. Errors are in frames at the
 stated rate, largest over all cameras and moments; none: undetermined. The real take's own clocks are only known to a
 frame or so: lags with frames cut off are compared with the lag as filmed.
 

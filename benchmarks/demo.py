@@ -1,10 +1,10 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The whole demo as a new user meets it: from nothing, again with nothing to do, and after one changed render setting.
+"""Seconds and memory of the whole demo as a new user runs it: from scratch, repeated, and after one change.
 
 ``python -m benchmarks.demo [--description resources/studio/demo.yaml] [--cores 2]`` from the repository's root, on an
 idle machine. Works in a temporary folder with an empty kernel cache, so that filming and compiling are part of the
-first figure. Prints wall seconds and the peak memory of the whole process tree, and when
-the first film of the room was there.
+first figure. Prints wall seconds and the peak memory of the whole process tree, and when the first film of the room was
+there.
 """
 
 from __future__ import annotations

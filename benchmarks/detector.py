@@ -1,11 +1,10 @@
 # SPDX-License-Identifier: Apache-2.0
-"""People from pictures alone: what the detector costs, whom it finds, and how far what is built on it is from what
-keypoint files give.
+"""Cost, detection rate and accuracy of the built-in detector, and of bodies from it against those of keypoint files.
 
 ``python -m benchmarks.detector [--parts cost people single multi demo] [--detector blazepose_heavy] [--folder DIR]``
-from the repository's root; writes ``benchmarks/results/detector.json``. Parts that are not asked for keep their last
-figures. ``single``, ``multi`` and ``demo`` run the workflow up to the bodies in DIR, and go on where they were.
-Processor time is meant where seconds are given: cameras run side by side.
+from the repository's root; writes ``benchmarks/results/detector.json``. Other parts keep their last figures.
+``single``, ``multi`` and ``demo`` run the workflow up to the bodies in DIR, and go on where they were. Seconds are
+processor time: cameras run in parallel.
 """
 
 from __future__ import annotations

@@ -1,20 +1,20 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Which effect sets off which statistic, on made scenes: ``python -m benchmarks.effects [--seeds N]``.
+"""Rates at which planted effects turn the survey's verdicts, on made scenes: ``python -m benchmarks.effects [--seeds
+N]``.
 
 Every effect is planted alone in a scene that has none (``tests/made/studio_world.py``), several times: other textures,
 walks and noise, and all effects are decided. The diagonal is the share of seeds in which the planted effect's verdict
 turns as it must; every other entry is the share in which another effect's verdict turns though nothing of it was
 planted ("undetermined" turns nothing). The first row plants nothing; lens, clock and readout, which other steps
-estimate, must turn nothing either. Asked: at least 0.95 on the diagonal and at most 0.05 beside it.
+estimate, must turn nothing either. Bar: at least 0.95 on the diagonal and at most 0.05 elsewhere.
 
 Then every two effects that can be planted in one scene are, with three of those seeds each, so that every seed has its
-turn: both must be found, but for what one of them voids or leaves nobody to show, which must be left open; and no third
-one may be. Asked: every effect is found in at least 0.95 of its
-pairs, and turns in at most 0.05 of the others.
+turn: both must be detected, and no third one. An effect that the other one voids, or that no person shows then, must be
+undetermined. Bar: every effect is detected in at least 0.95 of its pairs, and turns in at most 0.05 of the others.
 
-Beside it: the survey's own processor time on those scenes. What shows only in trained scenes is planted in tests/report
-alone. Prints both and writes benchmarks/results/effects.json and, from it, tests/effects/README.md. 10 seconds of
-processor time a seed alone, ten minutes for the pairs.
+It also measures the survey's own processor time on those scenes. What shows only in trained scenes is planted in
+tests/report alone. Prints both and writes benchmarks/results/effects.json and, from it, tests/effects/README.md. 10
+seconds of processor time a seed alone, ten minutes for the pairs.
 """
 
 from __future__ import annotations

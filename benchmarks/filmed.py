@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Two takes as the films show them, for benches that begin with pictures: the demo, and the man of pose2sim_balancing.
+"""Two takes as films, for benches that begin with pictures: the demo, and the man of pose2sim_balancing.
 
-``folder`` keeps what the detector found, and the demo's films: later benches go on from there.
+``folder`` keeps detections and the demo's films, which later benches reuse.
 """
 
 from __future__ import annotations

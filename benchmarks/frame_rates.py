@@ -8,10 +8,10 @@ right name), and joints of the fitted bodies against the truth at the pictures t
 writes benchmarks/results/frame_rates.json.
 
 ``--real DIR`` measures real pictures instead: every n-th picture of pose2sim_balancing, single and multi, at 60, 30, 15
-and 10 per second, through the whole workflow up to the bodies, the detector first. Who is found in which cameras, and
-how far joints are from those at 60 per second at the pictures that all rates share (after the one rigid motion between
-the refined rigs). DIR keeps the runs, a minute and a half each on two free cores, so that ``--takes`` and ``--rates``
-may ask for pieces, 60 per second first.
+and 10 per second, through the whole workflow up to the bodies, the detector first. Reports the cameras in which each
+person is detected, and the distance of joints from those at 60 per second at the pictures that all rates share (after
+the one rigid motion between the refined rigs). DIR keeps the runs, a minute and a half each on two free cores, so that
+``--takes`` and ``--rates`` select parts, 60 per second first.
 """
 
 from __future__ import annotations

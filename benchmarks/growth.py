@@ -1,15 +1,15 @@
 # SPDX-License-Identifier: Apache-2.0
-"""How every step grows with the length of the film: seconds per camera and frame, and peak memory.
+"""Growth of every step with the length of the film: seconds per camera and frame, and peak memory.
 
     python -m benchmarks.growth [--frames 60 240] [--cameras 4] [--people 2] [--size 240 136] [--until all] [--scale 1]
 
 Films a made studio twice, once as long as each number says, and runs the workflow on it in a temporary folder, with
-compiled kernels. Reads Snakemake's own records (``timings/``): processor seconds, so that what else the machine does
-counts little, and the largest resident memory of a job. A rule's slope is what one more camera-frame costs: the
-difference of the two runs over that of their camera-frames; twice the slope of the first run alone would be a step
-that grows faster than the film. ``exponent`` is log(seconds) over log(frames) between the two, 0 for what does not
-grow, 1 for what grows with the film, 2 for what compares every frame with every other. Table and machine go to
-benchmarks/results/growth.json, one entry per number of cameras.
+compiled kernels. Reads Snakemake's own records (``timings/``): processor seconds, so that other work counts little, and
+the largest resident memory of a job. A rule's slope is what one more camera-frame costs: the difference of the two runs
+over that of their camera-frames; twice the slope of the first run alone would be a step that grows faster than the
+film. ``exponent`` is log(seconds) over log(frames) between the two, 0 for constant time, 1 for time proportional to the
+film, 2 for comparisons of every frame with every other. Table and machine go to benchmarks/results/growth.json, one
+entry per number of cameras.
 """
 
 from __future__ import annotations

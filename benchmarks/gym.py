@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Who is who in a gym full of things that look like people: ``python -m benchmarks.gym [--draws 4]``.
+"""Accuracy of association in a gym with many things that look like people: ``python -m benchmarks.gym [--draws 4]``.
 
 Five cameras, 12 s at 15 pictures a second, seven people: three walk about, one arrives after 5 s, one leaves after 4 s
 and returns 4 s later, one sits on a chair, one sits behind a desk that hides hips and legs from two cameras. Besides

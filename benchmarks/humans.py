@@ -1,6 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What makes a person look right: held-out PSNR of the person's own pixels, as trained and with one thing changed
-(paper, robustness).
+"""Held-out PSNR of a person's own pixels: as trained, and with one change at a time (paper, robustness).
 
     snakemake --cores 2 results/demo/humans/p0.ply                 # once: makes the inputs
     python -m benchmarks.humans [--scene results/demo] [--truth results/studio/demo/truth] [--people p0] [--only full

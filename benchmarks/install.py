@@ -1,6 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What the README's two commands download and how long they install, as on a machine that has seen neither: a clone,
-and an empty cache.
+"""Download size and install time of the README's two commands on a fresh machine: a clone and an empty cache.
 
     uv run --group test python -m benchmarks.install
 

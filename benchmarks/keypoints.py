@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""How often recorded keypoints are read rightly, whatever is wrong with them: ``python -m benchmarks.keypoints``.
+"""Share of recorded keypoints with planted mistakes that are read correctly: ``python -m benchmarks.keypoints``.
 
-Made films of drawn people, each with its keypoints as they are and with one thing mixed up. Right is what is wanted of
-each row: used as they are, put right, or refused. ``false alarms`` counts refusals and changes of what was right.
+Made films of drawn people, each with its keypoints as they are and with one thing mixed up. Each row states the correct
+outcome: used as they are, put right, or refused. ``false alarms`` counts refusals and changes of what was right.
 """
 
 from __future__ import annotations

@@ -3,7 +3,7 @@
 
 FOLDER is where Snakemake was started, SCENE the name of its results, PRESET a preset's name or ``default``, DATASET
 what was reconstructed. Runs ``--run`` make the prices, runs ``--against`` do not; of every one it prints predicted
-beside spent processor seconds, and its time from start to end where FOLDER's Snakemake log tells it. ``--write`` writes
+beside spent processor seconds, and its time from start to end where FOLDER's Snakemake log holds it. ``--write`` writes
 ``resources/prices.json``, and of the runs ``--against`` benchmarks/results/budget.json. A point of the list is a
 preset, with the scores that it reached on every DATASET (called by its name) where it was run.
 """
