@@ -44,10 +44,10 @@ def studios(frames: int, size: tuple[int, int]) -> dict[str, dict]:
     }
 
 
-def sweep(folder: Path, table: Path, told: list[str], cores: str) -> None:
+def sweep(folder: Path, table: Path, reported: list[str], cores: str) -> None:
     """Run a table in ``folder`` on what ``--config`` is ``told``."""
     command = [sys.executable, "-m", "snakemake", "--snakefile", str(ROOT / "Snakefile"), "--cores", cores]
-    command += ["--directory", str(folder), "sweep", "--config", f"sweep={table}", "sweep_minutes=60", *told]
+    command += ["--directory", str(folder), "sweep", "--config", f"sweep={table}", "sweep_minutes=60", *reported]
     environment = {**os.environ, "PATH": os.pathsep.join([str(Path(sys.executable).parent), os.environ["PATH"]])}
     environment["PYTHONPATH"] = str(ROOT / "workflow")
     subprocess.run(command, env=environment, check=True)

@@ -91,25 +91,25 @@ def crossing(frames: int = FRAMES, fps: float = 30.0) -> Take:
         cameras=replace(described.cameras, jitter_deg=0.0, held_out=0),
     )
     times_s = np.arange(frames) / described.fps
-    troupe = Actors(described, BodyModel.load(RESOURCES / "body.npz"), times_s)
-    for k, actor in enumerate(troupe.actors):
+    cast = Actors(described, BodyModel.load(RESOURCES / "body.npz"), times_s)
+    for k, actor in enumerate(cast.actors):
         heading = 2 * np.pi * k / PEOPLE + 0.3
         left = 0.25 * np.array([-np.sin(heading), np.cos(heading)])
         part = MotionPart(
             Walked(tuple(left), 0.0, heading, -NEVER, NEVER), 1.18, 0.9, -0.9 * times_s[-1] / 2 + 0.1 * k, NEVER, NEVER
         )
-        poses, trans_m = perform(part, troupe.body, actor.betas, times_s)
-        troupe.actors[k] = replace(actor, poses=poses, trans_m=trans_m)
+        poses, trans_m = perform(part, cast.body, actor.betas, times_s)
+        cast.actors[k] = replace(actor, poses=poses, trans_m=trans_m)
     solids = build_room(described.seed, 0.0)
     ideal = rig.cameras(described)
     return Take(
         ideal,
         rig.true_lenses(described, ideal),
-        troupe.keypoints_m(LAYOUTS[LAYOUT].keypoints),
-        np.stack([a.poses for a in troupe.actors], axis=1),
-        np.stack([a.trans_m for a in troupe.actors], axis=1),
-        np.stack([a.betas for a in troupe.actors]),
-        [Tracer(solids + troupe.at(t)[0]) for t in range(frames)],
+        cast.keypoints_m(LAYOUTS[LAYOUT].keypoints),
+        np.stack([a.poses for a in cast.actors], axis=1),
+        np.stack([a.trans_m for a in cast.actors], axis=1),
+        np.stack([a.betas for a in cast.actors]),
+        [Tracer(solids + cast.at(t)[0]) for t in range(frames)],
         len(solids),
     )
 

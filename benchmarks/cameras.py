@@ -196,12 +196,12 @@ def real_doctor(data: Path, take: str, out: Path) -> tuple[dict[str, Any], list[
     lenses = [Lens.from_json(v) for v in read_json(out / "calibration.json")["lenses"]]
     sizes = [tuple(read_json(out / f"{c}.json")["wh"]) for c in MAN]
     both = [to_pinhole(read_detections(out / f"{c}.npz"), lens, wh) for c, lens, wh in zip(MAN, lenses, sizes)]
-    told = {
+    reported = {
         "verdict": report["verdict"],
         "advice": report["advice"],
         "lags": {c: v["frames"] for c, v in report["lags_frames"].items()},
     }
-    return {**cost, **told}, [c for c, _ in both], [d for _, d in both], lenses
+    return {**cost, **reported}, [c for c, _ in both], [d for _, d in both], lenses
 
 
 def the_man(
@@ -226,11 +226,11 @@ def the_man(
         "after_px": outcome.report["after_px"],
         "lens": outcome.report["lens"],
         "body_to_points_mean_mm": 1000 * float(np.linalg.norm(on_body - points.points_m, axis=-1)[known].mean()),
-        "ours": judged(ours, outcome.training, seen, lenses),
-        "ours, the given cameras": judged(
+        "ours": scored(ours, outcome.training, seen, lenses),
+        "ours, the given cameras": scored(
             _named(names, _lifted(names, keypoints, cameras, settings)), cameras, seen, lenses
         ),
-        "ours, the body": judged(fitted, outcome.training, seen, lenses),
+        "ours, the body": scored(fitted, outcome.training, seen, lenses),
     }
     if pose2sim is not None:
         folder = data / "pose2sim_balancing"
@@ -241,7 +241,7 @@ def the_man(
         renamed = {
             english[n[0]] + toes.get(n[1:].lower(), n[1:].lower()): v for n, v in theirs.items() if n[0] in english
         }
-        report["pose2sim"] = judged(renamed, cameras, seen, lenses)
+        report["pose2sim"] = scored(renamed, cameras, seen, lenses)
     return report
 
 
@@ -253,7 +253,7 @@ def _named(names: list[str], points: Points) -> dict[str, np.ndarray]:
     return {n: points.points_m[:, i] for i, n in enumerate(names)}
 
 
-def judged(
+def scored(
     points: dict[str, np.ndarray], cameras: list[Camera], seen: list[Detections], lenses: list[Lens]
 ) -> dict[str, float]:
     """Median reprojection error in pixels of the calibration, over confident keypoints of trunk and limbs, and of all
@@ -319,9 +319,9 @@ def main() -> None:
         row("caliscope_webcams, board", result["board"], ("median_px", "p95_px", "length_ratio_median"))
         for take in ("single", "multi"):
             with tempfile.TemporaryDirectory() as folder:
-                told, cameras, seen, lenses = real_doctor(Path(data), take, Path(folder))
-                result[f"doctor_{take}"] = told
-                row(f"doctor, pose2sim {take}: {told['verdict']}", told, ("cpu_s", "wall_s"))
+                reported, cameras, seen, lenses = real_doctor(Path(data), take, Path(folder))
+                result[f"doctor_{take}"] = reported
+                row(f"doctor, pose2sim {take}: {reported['verdict']}", reported, ("cpu_s", "wall_s"))
                 if take == "single":
                     result["man_uncalibrated"] = real_uncalibrated(cameras, seen)
                     result["man"] = the_man(cameras, seen, lenses, Path(data), options.pose2sim, Path(folder))

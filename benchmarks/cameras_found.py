@@ -68,14 +68,14 @@ def height_m(cameras: Sequence[Camera], seen: Sequence[Detections], body: BodyMo
     return stature_m(body) / factor
 
 
-def judged(take: Filmed, frames: int, told: bool, room: str, body: BodyModel) -> dict[str, Any]:
+def scored(take: Filmed, frames: int, reported: bool, room: str, body: BodyModel) -> dict[str, Any]:
     """Cameras from the first ``frames`` frames, and how far they are from the calibrations; ``told``: with focal
     lengths, ``room``: how much of what the empty room shows is looked at (``ROOM``)."""
     edges = {name: r.edges_px for name, r in take.rooms.items()} if room != "nothing" else {}
     rooms = take.rooms if room == "floor" else {}
-    focal = {c.name: float(np.mean(c.focal_px)) for c in take.cameras} if told else {}
+    focal = {c.name: float(np.mean(c.focal_px)) for c in take.cameras} if reported else {}
     given = GivenLengths(height_m={"": height_m(take.cameras, take.seen, body)})
-    row: dict[str, Any] = {"take": take.name, "frames": frames, "focal": told, "room": room}
+    row: dict[str, Any] = {"take": take.name, "frames": frames, "focal": reported, "room": room}
     try:
         (found, report), cost = timed(
             lambda: from_people.pose_cameras(
@@ -111,10 +111,10 @@ def judged(take: Filmed, frames: int, told: bool, room: str, body: BodyModel) ->
     }
 
 
-def made_row(seed: int, k1: float, alike: bool, body: BodyModel, **drawn: Any) -> dict[str, Any]:
+def made_row(seed: int, k1: float, similar: bool, body: BodyModel, **drawn: Any) -> dict[str, Any]:
     """Cameras from drawn keypoints, and how far they are from the planted ones; ``drawn`` as for ``made_capture``."""
-    made = made_capture(seed, k1, alike, **{"people": 1 + seed % 2, **drawn})
-    row: dict[str, Any] = {"take": "made", "seed": seed, "k1": k1, "alike": alike, **drawn}
+    made = made_capture(seed, k1, similar, **{"people": 1 + seed % 2, **drawn})
+    row: dict[str, Any] = {"take": "made", "seed": seed, "k1": k1, "alike": similar, **drawn}
     sizes, settings = [c.wh for c in made.cameras], loaded(from_people.Settings)
     about = from_people.mean_body(body), settings, None, GivenLengths(height_m={"": HEIGHT_M}), stature_m(body)
     try:
@@ -191,14 +191,14 @@ def main() -> None:
     stored = json.loads(RESULT.read_text(encoding="utf-8"))["rows"] if RESULT.exists() else []
     if "made" in options.takes:
         planted = [(k1, True) for k1 in (0.0, -0.1, -0.22, -0.35)] + [(-0.22, False)]
-        keys = [(seed, k1, alike) for k1, alike in planted for seed in range(options.seeds)]
+        keys = [(seed, k1, similar) for k1, similar in planted for seed in range(options.seeds)]
         stored = shown("made", (made_row(*key, body) for key in keys), stored)
     if "varied" in options.takes:
         stored = shown("varied", (varied_row(seed, body) for seed in range(options.seeds)), stored)
     for name in [name for name in options.takes if name in TAKES]:
         take = TAKES[name](folder.resolve())
-        for told, frames in ((told, frames) for told in (True, False) for frames in FRAMES[name]):
-            row = judged(take, frames, told, options.room, body)
+        for reported, frames in ((reported, frames) for reported in (True, False) for frames in FRAMES[name]):
+            row = scored(take, frames, reported, options.room, body)
             print("  ".join(f"{k} {v:.2f}" if isinstance(v, float) else f"{k} {v}" for k, v in row.items()), flush=True)
             same = ("take", "frames", "focal", "room")
             stored = [r for r in stored if [r.get(k) for k in same] != [row[k] for k in same]] + [row]

@@ -145,8 +145,8 @@ def from_films(take: Filmed, seeds: int) -> list[dict[str, Any]]:
             continue
         given, seen, rooms = take.straightened(lenses)
         about = f"{name}, another calibration" if lenses is take.other_lenses else name
-        for told in ((), rooms):
-            table += rows(about, given, take.cameras, seen, take.frames, begin, told)
+        for reported in ((), rooms):
+            table += rows(about, given, take.cameras, seen, take.frames, begin, reported)
     return table
 
 

@@ -51,12 +51,12 @@ def workflow(
 ) -> None:
     """Make ``targets`` (below results/<scene>) of the take without ``held_out``; raises with the end of the log when
     that fails."""
-    told = yaml.safe_load(
+    reported = yaml.safe_load(
         (ROOT / f"tests/captures/{take.replace('_balancing/', '_')}.yaml").read_text(encoding="utf-8")
     )
-    told |= {"held_out": held_out, "frames": {"first": first, "count": frames}}
+    reported |= {"held_out": held_out, "frames": {"first": first, "count": frames}}
     description = folder / f"{scene}.yaml"
-    description.write_text(yaml.safe_dump(told), encoding="utf-8")
+    description.write_text(yaml.safe_dump(reported), encoding="utf-8")
     dataset = Path(os.environ.get("STUDIORECON_REAL_DATA", "../shared/data")).resolve() / take
     path = os.pathsep.join([str(Path(sys.executable).parent), os.environ["PATH"]])
     command = [

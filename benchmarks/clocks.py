@@ -88,11 +88,11 @@ def sound_case(kind: str, seconds: float, recorders: list[Recorder]) -> dict[str
         paths = [record(Path(folder), r, world, seconds) for r in recorders]
         out = Path(folder) / "clocks.json", Path(folder) / "sync.json"
         begin = time.process_time()
-        told = clocks.Settings(sync="auto", picture_fps=_FPS)
-        clocks.run(told, [r.name for r in recorders], paths, [], "{}", 0, 0, *out)
+        reported = clocks.Settings(sync="auto", picture_fps=_FPS)
+        clocks.run(reported, [r.name for r in recorders], paths, [], "{}", 0, 0, *out)
         spent = time.process_time() - begin
-        found, told = read_clocks(out[0]), read_json(out[1])["cameras"]
-    kinds = {f["camera"]: f["kind"] for f in told}
+        found, reported = read_clocks(out[0]), read_json(out[1])["cameras"]
+    kinds = {f["camera"]: f["kind"] for f in reported}
     lead = recorders[0].start_s - found.of(recorders[0].name).offset_s
     errors = [found.of(r.name).common_s + lead - r.world_s(found.of(r.name).own_s) for r in recorders]
     unknown = "undetermined" in kinds.values()
@@ -132,8 +132,8 @@ def by_people(films: list[Silent], fps: float, uneven: bool, draw: int) -> list[
     rows = []
     for k, verdict in enumerate(found):
         if k != reference:
-            said_s = verdict.offset_s + films[k].own_s * (1 + 1e-6 * verdict.drift_ppm)
-            error = float(np.abs(said_s - films[k].world_s + films[reference].start_s).max()) * fps
+            reported_s = verdict.offset_s + films[k].own_s * (1 + 1e-6 * verdict.drift_ppm)
+            error = float(np.abs(reported_s - films[k].world_s + films[reference].start_s).max()) * fps
             rows.append({"kind": verdict.kind, "error": error, "half": verdict.half_s * fps})
     return rows
 
@@ -145,15 +145,15 @@ def silent_case(
     films = silent_films(fps, seconds, later_s, uneven, drift_ppm)
     begin = time.process_time()
     rows = [row for draw in range(_DRAWS) for row in by_people(films, fps, uneven, draw)]
-    told = [row for row in rows if row["kind"] != "undetermined"]
+    reported = [row for row in rows if row["kind"] != "undetermined"]
     return {
         "fps": fps,
-        "cameras_determined": len(told),
-        "cameras_undetermined": len(rows) - len(told),
-        "error_frames_median": round(float(np.median([r["error"] for r in told])), 3) if told else None,
-        "error_frames_largest": round(max(r["error"] for r in told), 3) if told else None,
-        "covered": sum(r["error"] <= r["half"] for r in told),
-        "half_frames_median": round(float(np.median([r["half"] for r in told])), 3) if told else None,
+        "cameras_determined": len(reported),
+        "cameras_undetermined": len(rows) - len(reported),
+        "error_frames_median": round(float(np.median([r["error"] for r in reported])), 3) if reported else None,
+        "error_frames_largest": round(max(r["error"] for r in reported), 3) if reported else None,
+        "covered": sum(r["error"] <= r["half"] for r in reported),
+        "half_frames_median": round(float(np.median([r["half"] for r in reported])), 3) if reported else None,
         "processor_s": round(time.process_time() - begin, 1),
     }
 
@@ -185,11 +185,11 @@ def one_silent(draw: int) -> dict[str, Any]:
             write_detections(path, sighted(film, (10 * draw, 10 * draw + 1), rng))
         out = Path(folder) / "clocks.json", Path(folder) / "sync.json"
         clocks.run(clocks.Settings(sync="auto", picture_fps=_FPS), names, videos, paths, "{}", 0, 0, *out)
-        found, told = read_clocks(out[0]), read_json(out[1])["cameras"]
+        found, reported = read_clocks(out[0]), read_json(out[1])["cameras"]
     offset_s = [found.of(name).offset_s - found.of(names[0]).offset_s for name in names]
     errors = [abs(o - (s - starts_s[0])) * _FPS for o, s in zip(offset_s, starts_s, strict=True)]
     return {
-        "methods": {f["camera"]: f["method"] or f["kind"] for f in told},
+        "methods": {f["camera"]: f["method"] or f["kind"] for f in reported},
         "error_frames_largest": round(max(errors), 3),
     }
 
@@ -205,10 +205,10 @@ def demo_case(take: Filmed, every: int, later: int, calibrated: bool) -> dict[st
             Detections(d.camera, d.layout, (mine.frame - later * (k == 1)) // every, mine.track, mine.keypoints)
         )
     rate = _FPS / every
-    told = [Clock(d.camera, rate, (60 - later * (k == 1)) // every) for k, d in enumerate(seen)]
+    reported = [Clock(d.camera, rate, (60 - later * (k == 1)) // every) for k, d in enumerate(seen)]
     lenses = {c.name: (take.lenses[c.name], c.wh) for c in take.cameras} if calibrated else None
     true_s = np.array([later * (k == 1) / _FPS for k in range(len(seen))])
-    found = estimate_offsets(people_lags(films, told, rate, lenses)[0], len(seen), 0)
+    found = estimate_offsets(people_lags(films, reported, rate, lenses)[0], len(seen), 0)
     determined = [c for c in range(1, len(seen)) if found[c].half_s <= MAX_HALF_S]
     errors = [abs(found[c].seconds - true_s[c]) * rate for c in determined]
     return {
@@ -227,14 +227,14 @@ def together(cases: Iterable[tuple[list[Offset], np.ndarray]]) -> dict[str, Any]
     """What cameras together make of films, each with the true starts against the first."""
     rows = [(o.seconds - t, o.half_s) for found, true_s in cases for o, t in zip(found[1:], true_s[1:], strict=True)]
     off, half = 1000 * np.array(rows).T
-    told = half <= 1000 * MAX_HALF_S
+    reported = half <= 1000 * MAX_HALF_S
     return {
-        "cameras_told": int(told.sum()),
-        "cameras_not_told": int((~told).sum()),
-        "error_ms_rms": round(float(np.sqrt(np.mean(off[told] ** 2))), 1) if told.any() else None,
-        "error_ms_largest": round(float(np.abs(off[told]).max()), 1) if told.any() else None,
-        "covered": int((np.abs(off[told]) <= half[told]).sum()),
-        "half_ms_median": round(float(np.median(half[told])), 1) if told.any() else None,
+        "cameras_told": int(reported.sum()),
+        "cameras_not_told": int((~reported).sum()),
+        "error_ms_rms": round(float(np.sqrt(np.mean(off[reported] ** 2))), 1) if reported.any() else None,
+        "error_ms_largest": round(float(np.abs(off[reported]).max()), 1) if reported.any() else None,
+        "covered": int((np.abs(off[reported]) <= half[reported]).sum()),
+        "half_ms_median": round(float(np.median(half[reported])), 1) if reported.any() else None,
     }
 
 
@@ -242,14 +242,14 @@ def rough_case(**about: Any) -> dict[str, Any]:
     """All draws of rings of cameras that were moved since they were calibrated."""
     takes = [rough(seed, **about) for seed in range(_ROUGH_DRAWS)]
     begin = time.process_time()
-    told = together(
+    reported = together(
         (
             estimate_offsets(people_lags(t.seen, t.clocks, t.clocks[0].fps, t.lenses)[0], len(t.clocks), 0),
             t.start_s - t.start_s[0],
         )
         for t in takes
     )
-    return told | {"processor_s": round((time.process_time() - begin) / len(takes), 1)}
+    return reported | {"processor_s": round((time.process_time() - begin) / len(takes), 1)}
 
 
 def the_man(data: Path, camera: str) -> Detections:
@@ -277,10 +277,10 @@ def real_case(data: Path, every: int, cut: int) -> dict[str, Any]:
     rate = 60 / every
     errors, undetermined = [], 0
     for a, b in itertools.combinations(_MAN, 2):
-        told = [Clock(c, rate, int(seen[c].frame.max()) + 1) for c in (a, b)]
+        reported = [Clock(c, rate, int(seen[c].frame.max()) + 1) for c in (a, b)]
         shortened = seen[b].only(seen[b].frame >= cut)
         late = replace(shortened, frame=shortened.frame - cut)
-        lags = [people_lags([seen[a], second], told, rate)[0] for second in (seen[b], late)]
+        lags = [people_lags([seen[a], second], reported, rate)[0] for second in (seen[b], late)]
         if any(not found or found[0].outlier_probability > 0.05 for found in lags):
             undetermined += 1
         else:

@@ -252,8 +252,8 @@ def main() -> None:
             shown = given.pictures / what if given.pictures and what == "plain" else None
             network = planted(room, NETWORK[what]) if what in NETWORK else None
             result = measure(disturbed(room, what, rng), values, shown, network)
-            told = {"changes": given.changes} | ({} if room.made else {"views": given.views})
-            stored["runs"][f"{room.name} {what}"] = result | {k: v for k, v in told.items() if v}
+            reported = {"changes": given.changes} | ({} if room.made else {"views": given.views})
+            stored["runs"][f"{room.name} {what}"] = result | {k: v for k, v in reported.items() if v}
             print(room.name, what, json.dumps(result), flush=True)
             write_json(given.out, stored)
 

@@ -173,7 +173,7 @@ def single(detector: str, folder: Path) -> dict[str, Any]:
     keypoints."""
     take = DATA / "pose2sim_balancing/single"
     described = ROOT / "tests/captures/pose2sim_single.yaml"
-    fits, told = {}, {}
+    fits, reported = {}, {}
     for name, source in (("found", "detector"), ("recorded", "keypoints")):
         looked = json.dumps({"source": source, "detector": detector})
         # The cameras of this take were triggered together: only what people's places say is compared here, not their
@@ -188,11 +188,11 @@ def single(detector: str, folder: Path) -> dict[str, Any]:
         workflow(folder, [f"results/{name}/people/p0.npz"], **given)
         fits[name] = read_person(folder / f"results/{name}/people/p0.npz")
         report = (folder / f"logs/{name}/cameras/refine.log").read_text()
-        told[name] = float(re.findall(r"([\d.]+) px", report)[-1])
+        reported[name] = float(re.findall(r"([\d.]+) px", report)[-1])
     both = fits["found"].valid & fits["recorded"].valid
     return {
-        "single_reprojection_px": told["found"],
-        "single_reprojection_of_recorded_keypoints_px": told["recorded"],
+        "single_reprojection_px": reported["found"],
+        "single_reprojection_of_recorded_keypoints_px": reported["recorded"],
         "single_bodies_mm": round(rigid_mm(fits["found"].joints[both], fits["recorded"].joints[both]), 1),
         "single_people": len(read_people(folder / "results/found/people/people.tsv")),
     }

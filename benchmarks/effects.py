@@ -71,15 +71,17 @@ def in_pairs(seeds: int, settings: Settings, usual: Mapping[str, str]) -> dict[s
     for number, pair in enumerate(pairs()):
         for k in range(TIMES):
             seed = 2000 + (number + 7 * k) % seeds
-            told, _ = verdicts(seed, settings, **PLANTED[pair[0]], **PLANTED[pair[1]])
+            reported, _ = verdicts(seed, settings, **PLANTED[pair[0]], **PLANTED[pair[1]])
             for effect, beside in (pair, pair[::-1]):
                 right = (
-                    told[effect] == "undetermined" if left_open(effect, beside) else turned(usual[effect], told[effect])
+                    reported[effect] == "undetermined"
+                    if left_open(effect, beside)
+                    else turned(usual[effect], reported[effect])
                 )
                 found[effect].append(right)
                 missed[f"{effect} beside {beside}"] += not right
             for third in set(usual) - set(pair):
-                invented[third].append(turned(usual[third], told[third]))
+                invented[third].append(turned(usual[third], reported[third]))
                 wrong[f"{third} of {pair[0]} and {pair[1]}"] += invented[third][-1]
         print(f"{' and '.join(pair):50s} missed {+missed} invented {+wrong}" if missed or wrong else pair, flush=True)
     return {
@@ -107,8 +109,8 @@ def turned(before: str, after: str) -> bool:
 
 def page(result: dict[str, Any]) -> str:
     """The result as a page of the docs: effects in rows, decisions in columns, only what is not 0."""
-    matrix, judged = result["matrix"], list(result["usual"])
-    letters = {e: f"{k + 1}" for k, e in enumerate(judged)}
+    matrix, scored = result["matrix"], list(result["usual"])
+    letters = {e: f"{k + 1}" for k, e in enumerate(scored)}
     lines = [
         "# Which effect turns which decision",
         "",
@@ -119,13 +121,13 @@ def page(result: dict[str, Any]) -> str:
         "on the diagonal, at most 0.05 beside it.",
         "A dot is 0. Scenes are made (`tests/made/studio_world.py`): no threshold is calibrated on real captures.",
         "",
-        "| planted | " + " | ".join(f"{letters[e]}" for e in judged) + " |",
-        "|---|" + "---|" * len(judged),
+        "| planted | " + " | ".join(f"{letters[e]}" for e in scored) + " |",
+        "|---|" + "---|" * len(scored),
     ]
-    for planted in sorted(matrix, key=lambda e: judged.index(e) if e in letters else -1):
+    for planted in sorted(matrix, key=lambda e: scored.index(e) if e in letters else -1):
         row = matrix[planted]
         name = f"{letters[planted]} {planted.replace('_', ' ')}" if planted in letters else planted
-        lines.append(f"| {name} | " + " | ".join("·" if row[e] == 0 else f"{row[e]:.2f}" for e in judged) + " |")
+        lines.append(f"| {name} | " + " | ".join("·" if row[e] == 0 else f"{row[e]:.2f}" for e in scored) + " |")
     pairs = result["pairs"]
     lines += [
         "",
@@ -133,12 +135,12 @@ def page(result: dict[str, Any]) -> str:
         "effect is found",
         "(or left open, where the other voids it or leaves nobody to show it), and of the others in which it turned.",
         "",
-        "| | " + " | ".join(letters[e] for e in judged) + " |",
-        "|---|" + "---|" * len(judged),
+        "| | " + " | ".join(letters[e] for e in scored) + " |",
+        "|---|" + "---|" * len(scored),
     ]
     for name, word in (("found", "planted: found"), ("invented", "not planted: turned")):
-        told = [("" if e not in pairs[name] else f"{pairs[name][e]:.2f}") for e in judged]
-        lines.append(f"| {word} | " + " | ".join("·" if t == "0.00" else t for t in told) + " |")
+        reported = [("" if e not in pairs[name] else f"{pairs[name][e]:.2f}") for e in scored]
+        lines.append(f"| {word} | " + " | ".join("·" if t == "0.00" else t for t in reported) + " |")
     for name, word in (("missed", "Missed"), ("wrong", "Turned")):
         if pairs[name]:
             listed = "; ".join(f"{k.replace('_', ' ')} ({n} of {TIMES})" for k, n in pairs[name].items())
@@ -149,15 +151,15 @@ def page(result: dict[str, Any]) -> str:
 
 def main(seeds: int) -> int:
     settings = loaded(Settings)
-    judged = list(verdicts(0, settings)[0])
+    scored = list(verdicts(0, settings)[0])
     plain = [verdicts(seed, settings) for seed in range(seeds)]
-    usual = {e: max(("on", "off", "undetermined"), key=[v[e] for v, _ in plain].count) for e in judged}
-    rows = {"nothing": {e: float(np.mean([turned(usual[e], v[e]) for v, _ in plain])) for e in judged}}
+    usual = {e: max(("on", "off", "undetermined"), key=[v[e] for v, _ in plain].count) for e in scored}
+    rows = {"nothing": {e: float(np.mean([turned(usual[e], v[e]) for v, _ in plain])) for e in scored}}
     seconds = [s for _, s in plain]
     for effect, planted in {**PLANTED, **OTHERWISE}.items():
         found = [verdicts(1000 + seed, settings, **planted)[0] for seed in range(seeds)]
-        rows[effect] = {e: float(np.mean([turned(usual[e], v[e]) for v in found])) for e in judged}
-        print(f"{effect:22s} " + " ".join(f"{rows[effect][e]:4.2f}" for e in judged), flush=True)
+        rows[effect] = {e: float(np.mean([turned(usual[e], v[e]) for v in found])) for e in scored}
+        print(f"{effect:22s} " + " ".join(f"{rows[effect][e]:4.2f}" for e in scored), flush=True)
     together = in_pairs(seeds, settings, usual)
     missed = {e: rows[e][e] for e in PLANTED if rows[e][e] < MIN}
     false = {

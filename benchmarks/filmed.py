@@ -90,9 +90,9 @@ def sighted(
     seen, size = [], {}
     for c, raw, video in zip(cameras, found, videos, strict=True):
         out = folder / f"{c}.npz", folder / f"{c}.recorded.npz", folder / f"{c}.json"
-        told = json.dumps(maps.get(c, []))
+        reported = json.dumps(maps.get(c, []))
         fps = open_source(video, 30.0).fps
-        sightings.run(loaded(tracks_keypoints.Settings), c, [raw], "auto", "auto", video, fps, told, *out, [], [])
+        sightings.run(loaded(tracks_keypoints.Settings), c, [raw], "auto", "auto", video, fps, reported, *out, [], [])
         seen.append(read_detections(out[0]))
         size[c] = tuple(read_json(out[2])["wh"])
     return seen, size

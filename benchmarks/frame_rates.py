@@ -146,8 +146,8 @@ def thinned(take: str, every: int, folder: Path) -> Path:
 
 def real(take: str, folder: Path, rates: Sequence[int]) -> list[dict[str, Any]]:
     """One row per rate of a real take; what its first rate is compared with must lie in ``folder``."""
-    told = yaml.safe_load((ROOT / f"tests/captures/pose2sim_{take}.yaml").read_text(encoding="utf-8"))
-    kept = {key: value for key, value in told.items() if not key.startswith(("keypoint", "plates"))}
+    reported = yaml.safe_load((ROOT / f"tests/captures/pose2sim_{take}.yaml").read_text(encoding="utf-8"))
+    kept = {key: value for key, value in reported.items() if not key.startswith(("keypoint", "plates"))}
     kept["calibration"] = str(DATA / "pose2sim_balancing/calibration/Calib_scene.toml")
     (folder / f"{take}.yaml").write_text(yaml.safe_dump(kept), encoding="utf-8")
     rows: list[dict[str, Any]] = []

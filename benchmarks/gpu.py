@@ -112,13 +112,15 @@ def main() -> int:
     written = RESULTS / f"{name}.json"
     known = json.loads(written.read_text()) if written.is_file() else {}
     if options.film:
-        dataset, told = str(Path(options.film).resolve()), {"cores": os.cpu_count()}
+        dataset, reported = str(Path(options.film).resolve()), {"cores": os.cpu_count()}
         for device in ("cuda", "cpu"):
             with tempfile.TemporaryDirectory() as folder:
-                told |= {device: film(dataset, device, Path(folder))}
-            print(json.dumps(told, indent=1), flush=True)
+                reported |= {device: film(dataset, device, Path(folder))}
+            print(json.dumps(reported, indent=1), flush=True)
             # Each as it ends: the machine may be lent for a few minutes only.
-            written.write_text(json.dumps(known | {"gpu": name, f"film_{Path(dataset).stem}": told}, indent=1) + "\n")
+            written.write_text(
+                json.dumps(known | {"gpu": name, f"film_{Path(dataset).stem}": reported}, indent=1) + "\n"
+            )
         return 0
     # Its plugin warns of xdist wherever it is installed, and warnings are errors here.
     command = [sys.executable, "-m", "pytest", "-q", "-p", "no:benchmark", "-m", "gpu", "tests/gpu"]

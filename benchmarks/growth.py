@@ -120,9 +120,14 @@ def main() -> None:
         seconds, memory = (f"{row[key][0]:>7} {row[key][1]:>7}" for key in ("cpu_s", "peak_mb"))
         print(f"{rule:28s} {seconds} {memory} {row['ms_per_camera_frame']:14.1f} {row['exponent']:9.2f}{over}")
     machine = {"machine": platform.machine(), "cores": os.cpu_count(), "python": platform.python_version()}
-    asked = {"frames": list(given.frames), "cameras": given.cameras, "people": given.people, "size": list(given.size)}
+    requested = {
+        "frames": list(given.frames),
+        "cameras": given.cameras,
+        "people": given.people,
+        "size": list(given.size),
+    }
     kept = json.loads(RESULTS.read_text()) if RESULTS.exists() else {}
-    kept[f"{given.cameras} cameras"] = {"machine": machine, "asked": asked, "rows": rows}
+    kept[f"{given.cameras} cameras"] = {"machine": machine, "asked": requested, "rows": rows}
     RESULTS.write_text(json.dumps(kept, indent=1) + "\n")
 
 

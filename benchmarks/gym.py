@@ -272,8 +272,8 @@ def measured(seed: int, videos: list[Path]) -> dict[str, Any]:
     options = loaded(associate.Settings)
     found, owners, seen = drawn(seed, loaded(detections.Settings))
     limits = options.association, options.triangulation
-    began, said = time.process_time(), io.StringIO()
-    with redirect_stdout(said):
+    began, messages = time.process_time(), io.StringIO()
+    with redirect_stdout(messages):
         table, rows, left = identities_from_keypoints(*limits, cameras(), found, videos, FRAMES, FPS)
     spent_s = time.process_time() - began
     names = {name: k for k, (name, *_) in enumerate(rows)}
@@ -307,7 +307,7 @@ def measured(seed: int, videos: list[Path]) -> dict[str, Any]:
         "tracks_of_people": true_tracks,
         "tracks_of_nobody": nobodys / len(table),
         "left_out": [f"{one.reason}; {one.nats:+.1f} nats in all" for one in left],
-        "said": [line for line in said.getvalue().splitlines() if "keeps the name" in line or "may be" in line],
+        "said": [line for line in messages.getvalue().splitlines() if "keeps the name" in line or "may be" in line],
         "seconds": spent_s,
     }
 

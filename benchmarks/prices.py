@@ -70,9 +70,9 @@ def run_of(folder: Path, scene: str, name: str, dataset: str, capture_yaml: str 
     footage = measure_footage(plan, config["capture"]["picture_fps"])
     footage = replace(footage, synthetic="(Rule: studio_capture)" in log)
     work = workload(footage, config, segments_with_views(known, config), known.forced_effects)
-    for told in sorted((folder / "logs" / scene / "humans/train").glob("*.log")):
-        if UP_TO_DATE in told.read_text(encoding="utf-8"):
-            raise SystemExit(f"{told}: this person was trained before; take logs/{scene} away too before the run")
+    for reported in sorted((folder / "logs" / scene / "humans/train").glob("*.log")):
+        if UP_TO_DATE in reported.read_text(encoding="utf-8"):
+            raise SystemExit(f"{reported}: this person was trained before; take logs/{scene} away too before the run")
     jobs: dict[str, list[float]] = {}
     stages = dict(cost(folder / "timings" / scene)["stages"])
     if footage.synthetic:
@@ -129,18 +129,18 @@ def main() -> None:
     print(f"{'run':10} {'predicted':>10} {'spent':>8} ratio   {'predicted':>10} {'took':>8}  PSNR")
     ratios, rows = [], []
     for run in (*own, *others):
-        told, guessed = predict(run.work, made, CORES, 1.0), sum(processor_seconds(run.work, made).values())
+        reported, guessed = predict(run.work, made, CORES, 1.0), sum(processor_seconds(run.work, made).values())
         real = sum(sum(run.jobs_s.get(rule, [])) for rule in run.work)
-        ratios.append(run.wall_s / told.seconds if run.wall_s else real / guessed)
+        ratios.append(run.wall_s / reported.seconds if run.wall_s else real / guessed)
         rows.append(
             {"run": run.name, "preset": run.preset, "predicted_cpu_s": round(guessed), "spent_cpu_s": round(real)}
-            | {"predicted_s": round(told.seconds), "between_s": [round(told.low_s), round(told.high_s)]}
+            | {"predicted_s": round(reported.seconds), "between_s": [round(reported.low_s), round(reported.high_s)]}
             | {"took_s": round(run.wall_s) if run.wall_s else None}
         )
         took = f"{run.wall_s:8.0f}" if run.wall_s else "        "
         score = f"{run.psnr_db:.2f} dB" if run.psnr_db else ""
         ratio = f"{real / guessed:5.2f}"
-        print(f"{run.name:10} {guessed:8.0f} s {real:6.0f} s {ratio} {told.seconds:8.0f} s {took} s  {score}")
+        print(f"{run.name:10} {guessed:8.0f} s {real:6.0f} s {ratio} {reported.seconds:8.0f} s {took} s  {score}")
     if options.write:
         write_json(CHECKED, {"runs": rows[len(own) :]})
         spread = [round(min(SPREAD[0], *ratios), 2), round(max(SPREAD[1], *ratios), 2)]

@@ -153,7 +153,7 @@ def test_unseen_wall_is_painted_like_the_wall_beside_it(cameras: list[Camera]) -
     assert np.all((painted["ceiling"].rgb >= 0) & (painted["ceiling"].rgb <= 1))
 
 
-def test_a_wall_that_nobody_sees_looks_like_the_walls_that_somebody_does(cameras: list[Camera]) -> None:
+def test_a_wall_that_no_camera_sees_looks_like_the_walls_that_some_camera_sees(cameras: list[Camera]) -> None:
     """At the same height, and not like the floor before it."""
     camera = cameras[0]
     origin, directions = camera.rays()
@@ -242,9 +242,11 @@ def test_holes_of_views_go_over_from_their_rim_to_the_painted_room(
     assert inside[:10].any()
     np.testing.assert_allclose(target.rgb[:10][inside[:10]], 0.25, atol=1e-3)
     own, found = (np.abs(rgb - 0.25).mean(-1) for rgb in (picture[:20] / 255, target.rgb[:20]))
-    told = inside & (own > 0.05)
-    assert (found[told] < own[told]).all()
-    assert found[19][told[19]].mean() > 0.1 * own[19][told[19]].mean(), "beside the rim what it goes on as counts"
+    reported = inside & (own > 0.05)
+    assert (found[reported] < own[reported]).all()
+    assert found[19][reported[19]].mean() > 0.1 * own[19][reported[19]].mean(), (
+        "beside the rim what it goes on as counts"
+    )
     np.testing.assert_allclose(target.rgb[20:], picture[20:] / 255, atol=1e-6)
     (bare,) = preparation.view_targets(steps, [picture], [support], cameras, [], settings())
     np.testing.assert_allclose(bare.rgb, picture / 255, atol=1e-6)
@@ -262,9 +264,9 @@ def test_harmonics_go_no_further_than_the_real_cameras_do(
     degree: int,
 ) -> None:
     """Naive: four photos and degree 2 reproduce every camera's exposure error exactly (G15)."""
-    asked = settings(limit_sh_to_views=cap)
-    asked = replace(asked, training=replace(asked.training, sh_degree=wanted))
+    requested = settings(limit_sh_to_views=cap)
+    requested = replace(requested, training=replace(requested.training, sh_degree=wanted))
     cameras = ring([360 * i / count for i in range(count)], "c")
     start = random_volume(cameras, 50, 0.1, 3, np.random.default_rng(0))
-    assert preparation.limit_harmonics(asked, start, cameras).training.sh_degree == degree
+    assert preparation.limit_harmonics(requested, start, cameras).training.sh_degree == degree
     assert ("cameras cannot resolve more" in capsys.readouterr().out) == (degree < wanted)

@@ -126,7 +126,7 @@ def test_files_that_disagree_are_refused(avatar: Avatar, tmp_path: Path) -> None
         read_avatar(tmp_path / "a/p0.ply", tmp_path / "gone.npz", avatar.model)
 
 
-def test_whoever_is_away_is_not_drawn_and_infinitely_far(avatar: Avatar, tmp_path: Path) -> None:
+def test_a_person_who_is_away_is_not_drawn_and_infinitely_far(avatar: Avatar, tmp_path: Path) -> None:
     assert avatar.present.all(), "without a word, they are always there"
     left = replace(avatar, present=np.array([True, False, False]))
     assert [left.is_present(frame) for frame in (-3, 0, 0.5, 0.51, 1, 2, 99)] == [True] * 3 + [False] * 4

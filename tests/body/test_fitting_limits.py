@@ -453,7 +453,7 @@ def test_frames_with_wild_points_keep_nobody_waiting(body: BodyModel) -> None:
     assert 1000 * np.linalg.norm(fit.joints_m - longer.joints_m, axis=-1).mean() < 2
 
 
-def test_scale_is_found_only_when_asked(body: BodyModel) -> None:
+def test_scale_is_found_only_when_requested(body: BodyModel) -> None:
     # S06: scale and the first beta are exchangeable; the prior splits them, a metric world fixes the scale.
     poses, trans = moderate(10)
     points = 3.0 * body.keypoints(NAMES, poses, np.zeros(10), trans)

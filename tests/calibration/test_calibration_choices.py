@@ -47,7 +47,7 @@ def test_names_pair_both_ways(footage, calibrated, expected):
 
 
 @pytest.mark.parametrize("first", [0, 1])
-def test_cameras_counted_from_0_or_1_are_told_by_people(first):
+def test_cameras_counted_from_0_or_1_are_determined_by_people(first):
     """Three films of a calibration of four: both ways are possible."""
     cameras = rig(("cam_0", "cam_1", "cam_2", "cam_3"))
     filmed, names = cameras[first : first + 3], ["film1", "film2", "film3"]

@@ -128,7 +128,7 @@ def test_a_dataset_brings_rigs_and_frames_along(tmp_path, suffix, named):
 
 
 @pytest.mark.parametrize("suffix", [".txt", ".bin"])
-def test_a_film_follows_a_rig_where_it_really_stood(tmp_path, suffix):
+def test_a_film_follows_a_rig_where_it_really_was(tmp_path, suffix):
     truth = stale_rig(tmp_path, suffix)
     steps = path_steps(
         GivenPath("path", str(tmp_path / "stale" / f"images{suffix}"), "stretch"), "fly", truth[0].wh, 10

@@ -187,7 +187,7 @@ def off(camera: Camera, degrees: float, metres: float) -> Camera:
     return move_camera(camera, turn @ camera.camera_from_world[:3, :3], camera.centre_m + np.array([0.0, 0.0, metres]))
 
 
-def test_what_people_leave_open_is_told_where_it_is_much(good):
+def test_what_people_leave_open_is_reported_where_it_is_much(good):
     report = copy.deepcopy(good)
     assert 0 < report["refined"]["disagreement_deg"] < report["refined"]["between_deg"] < 3
     # As a real man on one spot leaves it.

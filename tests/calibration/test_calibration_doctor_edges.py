@@ -61,18 +61,18 @@ def of_edges(report: dict[str, Any]) -> list[str]:
     return [sentence for sentence in report["advice"] if "straight edges" in sentence]
 
 
-def test_a_calibration_that_people_accept_and_edges_contradict_is_usable_and_told() -> None:
+def test_a_calibration_that_people_accept_and_edges_contradict_is_usable_and_reported() -> None:
     people_alone, report = contradicted(False), contradicted(True)
     assert people_alone["verdict"] == "good", people_alone["advice"]
     assert people_alone["edges"] is None
     assert report["verdict"] == "usable", report["advice"]
     assert report["edges"]["off_deg"] > 1.5 > report["edges"]["after_deg"]
-    (said,) = of_edges(report)
+    (messages,) = of_edges(report)
     first, second = report["edges"]["cameras"]
-    assert f"between cameras {first} and {second} by {report['edges']['off_deg']:.1f}°" in said
-    assert f"by {report['edges']['after_deg']:.1f}° once refinement has moved the cameras" in said
-    assert "with cameras.refine on; calibrate again if that is not enough" in said
-    assert "px" not in said
+    assert f"between cameras {first} and {second} by {report['edges']['off_deg']:.1f}°" in messages
+    assert f"by {report['edges']['after_deg']:.1f}° once refinement has moved the cameras" in messages
+    assert "with cameras.refine on; calibrate again if that is not enough" in messages
+    assert "px" not in messages
     page = doctor_page.page("scene", report, b"png")
     assert page.count("straight edges contradict") == 1
 
@@ -103,9 +103,9 @@ def test_furniture_askew_that_people_contradict_is_not_mended(askew_deg: float, 
     report = examined(ring(), rooms, WALKING, 1.0)
     assert report["verdict"] == named, report["advice"]
     assert not report["edges"]["mended"]
-    (said,) = of_edges(report)
-    assert "refinement does not correct that: people would fit" in said
-    assert "let a person walk through the whole room" in said
+    (messages,) = of_edges(report)
+    assert "refinement does not correct that: people would fit" in messages
+    assert "let a person walk through the whole room" in messages
 
 
 def test_people_s_refinement_that_takes_the_contradiction_away_counts() -> None:
@@ -132,13 +132,13 @@ def test_a_camera_that_only_judges_takes_no_part() -> None:
     held_out = replace(ring(5)[4], name="view")
     seen = [*detect(ring(), ON_ONE_SPOT, 6.0, np.random.default_rng(2)), doctor.empty_detections("view")]
     rooms = [*pictured(ring()), None]
-    judged = doctor.examine([*given, held_out], seen, about([*given, held_out]), loaded(doctor.Settings), rooms=rooms)
-    assert judged[0]["edges"]["moves"].keys() == alone["moves"].keys()
-    assert judged[0]["edges"]["between_deg"] < 1.2 * alone["between_deg"]
-    assert judged[0]["edges"]["mended"]
+    scored = doctor.examine([*given, held_out], seen, about([*given, held_out]), loaded(doctor.Settings), rooms=rooms)
+    assert scored[0]["edges"]["moves"].keys() == alone["moves"].keys()
+    assert scored[0]["edges"]["between_deg"] < 1.2 * alone["between_deg"]
+    assert scored[0]["edges"]["mended"]
 
 
-def test_two_cameras_are_told_apart_by_edges_too() -> None:
+def test_two_cameras_are_distinguished_by_edges_too() -> None:
     """Two cameras have no third one that people could refine them on; edges and people move them all the same."""
     report = examined(about_the_spot(ring(), OFF_DEG)[:2], pictured(ring())[:2])
     assert report["edges"]["clear"]
@@ -168,9 +168,9 @@ def test_of_a_real_man_s_two_calibrations_edges_contradict_the_hand_picked_one(
     for c in names:
         first = str(dataset.keypoint_first_frame.get(c, "auto"))
         recorded = dataset.keypoint_layout, first, dataset.footage[c], 60.0
-        told = json.dumps(dataset.pixel_maps[c])
+        reported = json.dumps(dataset.pixel_maps[c])
         found = out / f"{c}.npz", out / f"{c}.recorded.npz", out / f"{c}.json", [], []
-        keypoints.run(loaded(tracks_keypoints.Settings), c, [dataset.keypoints[c]], *recorded, told, *found)
+        keypoints.run(loaded(tracks_keypoints.Settings), c, [dataset.keypoints[c]], *recorded, reported, *found)
     seen = [out / f"{c}.npz" for c in names]
     clocks = out / "clocks.json", out / "sync.json"
     offsets.run(loaded(offsets.Settings), names, footage, seen, "{}", 0, 0, *clocks)

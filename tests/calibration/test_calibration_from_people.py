@@ -102,7 +102,7 @@ def test_lenses_are_estimated_with_the_poses(options, template, k1):
 
 
 def test_a_camera_with_another_lens_is_not_made_like_the_others(options, template):
-    made = made_capture(1, -0.2, alike=False, people=2)
+    made = made_capture(1, -0.2, similar=False, people=2)
     sizes = [c.wh for c in made.cameras]
     found, _ = from_people.pose_cameras(made.detections, sizes, {}, made.frames, template, options)
     longer = [np.log(f.focal_px[0] / c.focal_px[0]) for f, c in zip(found, made.cameras, strict=True)]

@@ -65,10 +65,10 @@ def found(take: tuple[list[Camera], list[Detections]], body: BodyModel) -> Calla
 
         return solve_once
 
-    def posed(given: GivenLengths, told_px: dict | None = None, known: bool = True) -> tuple[list[Camera], dict]:
+    def posed(given: GivenLengths, metadata_px: dict | None = None, known: bool = True) -> tuple[list[Camera], dict]:
         focal_px = {c.name: c.focal_px[0] for c in truth} if known else {}
         kept = ("find_pose_consensus", "estimate_rig", "camera_intervals")
-        about = told_px, given, stature_m(body)
+        about = metadata_px, given, stature_m(body)
         with mock.patch.multiple(from_people, **{name: once(name, known) for name in kept}):
             return from_people.pose_cameras(seen, [c.wh for c in truth], focal_px, 60, template_m, settings, *about)
 
@@ -108,11 +108,11 @@ def test_heights_that_cannot_be_true_together_and_names_of_nobody_are_refused(ta
         found(GivenLengths(between=("left", take[0][0].name), distance_m=3.0))
 
 
-def test_a_told_focal_length_is_a_start_that_people_correct(take, body: BodyModel, found) -> None:
+def test_a_focal_length_is_a_start_that_people_correct(take, body: BodyModel, found) -> None:
     """The nominal lens is 4 % longer than the picture that a phone which steadies its film leaves."""
     truth = take[0]
-    told = {c.name: 1.04 * c.focal_px[0] for c in truth}
-    cameras, report = found(GivenLengths(), told, known=False)
+    reported = {c.name: 1.04 * c.focal_px[0] for c in truth}
+    cameras, report = found(GivenLengths(), reported, known=False)
     assert set(report["focal_from"].values()) == {"the file"}
     off = [c.focal_px[0] / t.focal_px[0] - 1 for c, t in zip(cameras, truth)]
     assert np.abs(off).max() < 0.02, off

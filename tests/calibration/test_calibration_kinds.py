@@ -218,7 +218,7 @@ def test_skew_and_scale_of_a_camera_matrix_are_said(tmp_path):
 
 
 @pytest.mark.parametrize(
-    ("change", "said"),
+    ("change", "messages"),
     [
         (lambda k: k + 45 * SKEW, "skew"),
         (lambda k: k.T, "below the diagonal"),
@@ -227,8 +227,8 @@ def test_skew_and_scale_of_a_camera_matrix_are_said(tmp_path):
         (lambda k: k * 0.0, "not above 0"),
     ],
 )
-def test_a_camera_matrix_out_of_range_names_file_and_camera(tmp_path, change, said):
-    with pytest.raises(UserError, match=f"camera c0 .*{said}"):
+def test_a_camera_matrix_out_of_range_names_file_and_camera(tmp_path, change, messages):
+    with pytest.raises(UserError, match=f"camera c0 .*{messages}"):
         read_with(tmp_path, change)
 
 

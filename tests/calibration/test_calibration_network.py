@@ -62,9 +62,9 @@ def test_torsos_say_how_long_a_unit_is() -> None:
     found, seen = planted()
     lengths = network.torso_lengths(found, [WH] * 4, seen, 0.4)
     np.testing.assert_allclose(lengths, TORSO_M * UNIT, rtol=1e-6)
-    factor, told = network.metres_per_unit(lengths, TORSO_M, False, "Pi3")
+    factor, reported = network.metres_per_unit(lengths, TORSO_M, False, "Pi3")
     assert factor == pytest.approx(1 / UNIT, rel=1e-6)
-    assert "4 torsos" in told
+    assert "4 torsos" in reported
     # Held-out cameras bring none: those that do are told by their names.
     uneven, seen = planted(noise=0.1)
     some = network.torso_lengths(uneven, [WH] * 4, [seen[3], seen[1]], 0.4)
@@ -97,14 +97,14 @@ def test_footage_becomes_a_calibration_in_metres(
     found, seen = planted()
     truth = [c for c, _, _ in room_views(WH)]
     names = [c.name for c in truth]
-    asked = []
+    requested = []
 
     class Planted:
         def __init__(self, card: Card, weights: Path, where: str) -> None:
             assert card.name == "pi3x"
 
         def reconstruct(self, pictures: list[np.ndarray], cameras: list[str]) -> Reconstruction:
-            asked.append((cameras, pictures))
+            requested.append((cameras, pictures))
             return found
 
     monkeypatch.setattr(pi3, "ADAPTER", Planted)
@@ -134,7 +134,7 @@ def test_footage_becomes_a_calibration_in_metres(
         model,
         depths := [tmp_path / f"network/{n}.exr" for n in names],
     )
-    ((cameras, pictures),) = asked
+    ((cameras, pictures),) = requested
     assert cameras == names
     for picture, (_, rgb, _) in zip(pictures, room_views(WH), strict=True):
         np.testing.assert_array_equal(picture, to_bytes(rgb))

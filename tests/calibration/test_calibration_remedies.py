@@ -74,7 +74,7 @@ class Capture:
         one = SEEN[NAMES.index(film)] if film in NAMES else SEEN[0]
         return replace(one if self.people else one.only(np.zeros(len(one.frame), bool)), camera=film)
 
-    def judged(self, folder: Path) -> None:
+    def scored(self, folder: Path) -> None:
         """Raises UserError as the doctor would: for people of another size, or with the setting that fits them."""
         lenses = self.lenses(folder)
         both = [to_pinhole(self.detected(lens.name), lens, self.wh) for lens in lenses]
@@ -168,11 +168,11 @@ ROWS = {
 
 @pytest.mark.parametrize("row", ROWS)
 def test_who_does_what_the_sentence_says_has_the_cameras(row: str, tmp_path: Path) -> None:
-    broken, said, done = ROWS[row]
-    with pytest.raises(UserError, match=said):
-        broken.judged(tmp_path)
+    broken, messages, done = ROWS[row]
+    with pytest.raises(UserError, match=messages):
+        broken.scored(tmp_path)
     mended = replace(broken, **done)
-    mended.judged(tmp_path)
+    mended.scored(tmp_path)
     lenses = mended.lenses(tmp_path)
     centres = np.array([-lens.camera_from_world[:3, :3].T @ lens.camera_from_world[:3, 3] for lens in lenses])
     apart = np.linalg.norm(centres[:, None] - centres[None], axis=-1)
@@ -183,7 +183,7 @@ def test_who_does_what_the_sentence_says_has_the_cameras(row: str, tmp_path: Pat
 @pytest.mark.parametrize("per_metre", [1.0, 100.0, 1000.0])
 def test_a_file_without_unit_is_read_in_the_one_that_makes_people_human(per_metre: float, tmp_path: Path) -> None:
     brought = Capture(cameras=moved(per_metre))
-    brought.judged(tmp_path)
+    brought.scored(tmp_path)
     centres = [
         -np.linalg.inv(lens.camera_from_world[:3, :3]) @ lens.camera_from_world[:3, 3]
         for lens in brought.lenses(tmp_path)

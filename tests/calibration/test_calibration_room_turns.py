@@ -103,13 +103,13 @@ def test_a_detector_that_always_errs_the_same_way_is_put_right_by_the_room(root:
         loaded(from_people.Settings),
     )
     focal, off = {c.name: c.focal_px[0] for c in truth}, {}
-    for name, told in (("people", {}), ("room", edges)):
+    for name, reported in (("people", {}), ("room", edges)):
         found, report = from_people.pose_cameras(
-            biased, [c.wh for c in truth], focal, 40, template, settings, edges=told
+            biased, [c.wh for c in truth], focal, 40, template, settings, edges=reported
         )
         off[name] = worst_deg({v: c.camera_from_world[:3, :3] for v, c in enumerate(found)}, truth)
         assert off[name] < report["between_deg"]
-        assert set(report["along_edges"]) == set(told)
+        assert set(report["along_edges"]) == set(reported)
     assert off["people"] > 1.5
     assert off["room"] < 0.7
 

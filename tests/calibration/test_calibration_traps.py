@@ -199,9 +199,9 @@ def test_a_camera_started_early_is_set_right_unless_capture_yaml_says_otherwise(
     assert (report["verdict"], report["sync"]["lags_frames"]["01"]["frames"]) == ("good", pytest.approx(0, abs=0.3))
     described = (capture / "capture.yaml").read_text()
     (capture / "capture.yaml").write_text(f"{described}starts: {{{', '.join(f'{c!r}: 0' for c in NAMES)}}}\n")
-    (said,) = re.findall(r"starts: \{.*?\}", " ".join(examine(capture)["advice"]))
-    assert re.search(r'"01": (2\.[89]|3)', said), said
-    (capture / "capture.yaml").write_text(f"{described}{said}\n")
+    (messages,) = re.findall(r"starts: \{.*?\}", " ".join(examine(capture)["advice"]))
+    assert re.search(r'"01": (2\.[89]|3)', messages), messages
+    (capture / "capture.yaml").write_text(f"{described}{messages}\n")
     after = examine(capture)
     assert after["verdict"] == "good", after["advice"]
 

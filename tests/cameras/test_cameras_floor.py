@@ -55,9 +55,9 @@ def test_a_carpet_puts_knocked_cameras_right_where_a_detector_errs_all_the_time(
     rooms = [room(c, carpet(1), v) for v, c in enumerate(truth)]
     by_people, with_floor = (
         refine_with_wider_prior(
-            given, seen, np.arange(FRAMES), settings.gate_m, settings.limits, settings.bundle, lost=True, rooms=told
+            given, seen, np.arange(FRAMES), settings.gate_m, settings.limits, settings.bundle, lost=True, rooms=reported
         )
-        for told in ((), rooms)
+        for reported in ((), rooms)
     )
     assert by_people is not None
     assert with_floor is not None

@@ -246,7 +246,7 @@ def test_children_and_giants_are_people(stature: float) -> None:
     assert report["stature_m"] == pytest.approx(1.65 * stature, rel=0.1)
 
 
-def test_of_three_cameras_the_odd_one_is_told_at_least(capsys: pytest.CaptureFixture[str]) -> None:
+def test_of_three_cameras_the_odd_one_is_reported_at_least(capsys: pytest.CaptureFixture[str]) -> None:
     """Two rays always meet somewhere: three cameras rarely say which of them is wrong, but never nothing."""
     for change in (lambda p: p + np.array([5000, 0]), lambda p: [1280, 704] - p, lambda p: p / 2):
         try:

@@ -36,8 +36,8 @@ def seen_but(*blind: int, ghost: int = 0) -> list[Detections]:
 
 def about(camera: Camera) -> dict[str, Any]:
     """What the doctor is told about a film."""
-    told = {"camera": camera.name, "wh": list(camera.wh), "frames": FRAMES, "first_frame": 0.0, "keypoints": True}
-    return told | {"video_frames": FRAMES, "fps": 30.0, "rotation_deg": 0, "brightness": 0.4, "burnt": 0.0}
+    reported = {"camera": camera.name, "wh": list(camera.wh), "frames": FRAMES, "first_frame": 0.0, "keypoints": True}
+    return reported | {"video_frames": FRAMES, "fps": 30.0, "rotation_deg": 0, "brightness": 0.4, "burnt": 0.0}
 
 
 def decided(given: list[Camera], seen: list[Detections]) -> refine.Refinement:
@@ -55,10 +55,10 @@ def test_cameras_that_were_moved_are_put_right_without_the_one_that_sees_nobody(
     others = [[group[v] for v in (0, 1, 3)] for group in (outcome.training, truth)]
     assert between_deg(*others) < 0.3
     assert np.array_equal(outcome.training[2].camera_from_world, given[2].camera_from_world)
-    told = capsys.readouterr().out
+    reported = capsys.readouterr().out
     how = "a person in 3 frames only" if ghost else "nobody"
-    assert told.count(f"warning: camera c2 sees {how}: it shows only the room") == 1
-    assert "identities come from c0, c1, c3" in told
+    assert reported.count(f"warning: camera c2 sees {how}: it shows only the room") == 1
+    assert "identities come from c0, c1, c3" in reported
 
 
 def test_who_passes_a_camera_for_a_second_in_a_long_film_is_seen_by_it() -> None:

@@ -74,8 +74,8 @@ class TestFrames:
         pictures = smooth_pictures(14)
         write_video(tmp_path / "a.mp4", pictures[shown], times=shown)
         footage = run_frames(tmp_path / "a.mp4")
-        (told,) = [change for change in footage.changes if "do not come evenly" in change]
-        assert "1 of 11 steps differ from the usual 33 ms, most after frame 4 (100 ms)" in told
+        (reported,) = [change for change in footage.changes if "do not come evenly" in change]
+        assert "1 of 11 steps differ from the usual 33 ms, most after frame 4 (100 ms)" in reported
         assert (footage.frames, footage.source_frames) == (14, (0, 1, 2, 3, 4, 4, 5, 5, 6, 7, 8, 9, 10, 11))
         found = read_stack(tmp_path / "out/a.mkv").astype(int)
         assert [int(np.abs(pictures - f).mean((1, 2, 3)).argmin()) for f in found] == [

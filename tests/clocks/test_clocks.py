@@ -96,9 +96,9 @@ class TestSound:
             Recorder("d", 10 - 0.4 / FPS, noise=0.01),
             Recorder("e", 10 + 0.4 / FPS, echo=0.2),
         ]
-        found, told = find(recorders, sound, 14)
+        found, reported = find(recorders, sound, 14)
         assert error_frames(found, recorders) < 0.2
-        assert {f["kind"] for f in told.values()} == {"reference", "found"}
+        assert {f["kind"] for f in reported.values()} == {"reference", "found"}
         assert found.frames == pytest.approx(4 * FPS, abs=1), "what all have"
         for recorder in recorders:
             shown = recorder.world_s(found.source_frames(recorder.name) / FPS) - 10
@@ -111,35 +111,35 @@ class TestSound:
         assert error_frames(found, recorders) < 0.1
 
     def test_a_hum_tells_nothing(self, find) -> None:
-        found, told = find([Recorder("a", 10.0), Recorder("b", 12.0)], "hum", 8)
+        found, reported = find([Recorder("a", 10.0), Recorder("b", 12.0)], "hum", 8)
         assert [c.offset_s for c in found.cameras] == [0, 0]
-        assert told["b"]["kind"] == "undetermined"
-        assert "a hum" in told["b"]["sentence"]
+        assert reported["b"]["kind"] == "undetermined"
+        assert "a hum" in reported["b"]["sentence"]
 
     def test_noise_of_microphones_tells_nothing(self, find) -> None:
         for seed in range(3):
-            _, told = find([Recorder(f"a{seed}", 10.0), Recorder(f"b{seed}", 12.0)], "silence", 8)
-            assert told[f"b{seed}"]["kind"] == "undetermined"
+            _, reported = find([Recorder(f"a{seed}", 10.0), Recorder(f"b{seed}", 12.0)], "silence", 8)
+            assert reported[f"b{seed}"]["kind"] == "undetermined"
 
     def test_a_clock_that_drifts_is_followed(self, find) -> None:
         """50 ppm over four minutes at 15 frames per second: 0.18 frames between the ends."""
         recorders = [Recorder("a", 10.0, fps=15.0), Recorder("b", 12.2, fps=15.0, drift_ppm=50)]
-        found, told = find(recorders, "claps", 240)
+        found, reported = find(recorders, "claps", 240)
         assert found.of("b").drift_ppm == pytest.approx(50, abs=10)
         assert error_frames(found, recorders) < 0.1
-        assert re.search(r"its clock (4|5)\d ppm slow", told["b"]["sentence"])
+        assert re.search(r"its clock (4|5)\d ppm slow", reported["b"]["sentence"])
 
 
 class TestOthers:
     def test_a_silent_camera_is_placed_by_its_motion(self, find) -> None:
         recorders = [Recorder("a", 10.0), Recorder("b", 11.0), Recorder("c", 11.5, deaf=True)]
-        found, told = find(recorders, "speech", 16, moves=True)
+        found, reported = find(recorders, "speech", 16, moves=True)
         assert error_frames(found, recorders) < 1.01, "motion tells whole frames"
-        assert (told["b"]["method"], told["c"]["method"]) == ("sound", "motion")
+        assert (reported["b"]["method"], reported["c"]["method"]) == ("sound", "motion")
 
     def test_pictures_that_stand_still_tell_nothing(self, find) -> None:
-        found, told = find([Recorder("a", 10.0, deaf=True), Recorder("b", 12.0, deaf=True)], "silence", 6)
-        assert told["b"]["kind"] == "undetermined"
+        found, reported = find([Recorder("a", 10.0, deaf=True), Recorder("b", 12.0, deaf=True)], "silence", 6)
+        assert reported["b"]["kind"] == "undetermined"
         assert found.frames == 180, "as filmed"
 
     def test_people_place_cameras_that_nobody_calibrated(self, find) -> None:
@@ -150,18 +150,18 @@ class TestOthers:
                 [camera], [walking(late, 240), walking(late, 240, 1.0)], 2.0, np.random.default_rng(len(seen))
             )
         recorders = [Recorder(c.name, 10 + late / FPS, deaf=True) for c, late in zip(cameras, (0.0, 2.4, 0.0))]
-        found, told = find(recorders, "silence", 8, seen=seen)
+        found, reported = find(recorders, "silence", 8, seen=seen)
         assert error_frames(found, recorders) < 0.2
-        assert [told[c.name]["kind"] for c in cameras] == ["reference", "found", "in step"]
+        assert [reported[c.name]["kind"] for c in cameras] == ["reference", "found", "in step"]
 
     def test_what_contradicts_itself_is_undetermined_with_all_that_was_said(self) -> None:
         lags = [Lag(Source("sound"), 0, 1, 2.0, 0.005, 0.01), Lag(Source("people"), 0, 1, 3.0, 0.005, 0.01)]
         verdict = clocks_step.applied_clock(estimate_offsets(lags, 2, 0)[1], FPS, 10)
         assert verdict.kind == "undetermined"
         alone = {lag.source.name: estimate_offsets([lag], 2, 0)[1] for lag in lags}
-        told = clocks_step.clock_sentence("b", verdict, alone, {}, "a", FPS)
-        assert "sound +2.000" in told
-        assert "people +3.000" in told
+        reported = clocks_step.clock_sentence("b", verdict, alone, {}, "a", FPS)
+        assert "sound +2.000" in reported
+        assert "people +3.000" in reported
 
     @pytest.mark.parametrize(
         ("kind", "people_s"), [("found", (2.0, 0.1)), ("undetermined", None), ("reference", (0.0, 0.0))]
@@ -244,9 +244,9 @@ class TestUse:
 
     @pytest.mark.parametrize("sync", ["report", "never"])
     def test_what_is_only_reported_changes_nothing(self, find, sync: str) -> None:
-        found, told = find([Recorder("a", 10.0), Recorder("b", 11.0)], "speech", 8, sync=sync)
+        found, reported = find([Recorder("a", 10.0), Recorder("b", 11.0)], "speech", 8, sync=sync)
         assert [list(found.source_frames(c)) for c in "ab"] == [list(range(240))] * 2
-        assert bool(told) == (sync == "report")
+        assert bool(reported) == (sync == "report")
 
     def test_videos_of_two_lengths_and_unknown_clocks_are_refused_later(self, find) -> None:
         own = {"b": np.arange(200) / FPS}

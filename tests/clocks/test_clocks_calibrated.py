@@ -128,7 +128,7 @@ def test_the_step_reads_people_under_the_calibration(monkeypatch: pytest.MonkeyP
     sources = [FootageSource(path, (640, 360), 30.0, 120, 0, (), ()) for path in paths]
     known = {name: lens for name, (lens, _) in take.lenses.items()}
     lines = [Timeline(30.0, 120, 0.0)] * 4
-    verdicts, told, reference = offsets.estimate_clocks(names, sources, lines, paths, paths, known)
+    verdicts, reported, reference = offsets.estimate_clocks(names, sources, lines, paths, paths, known)
     off_s = np.array([v.offset_s for v in verdicts]) - (take.start_s - take.start_s[reference])
     assert np.abs(off_s).max() < 0.02
-    assert all("people" in f["sentence"] for c, f in enumerate(told) if c != reference)
+    assert all("people" in f["sentence"] for c, f in enumerate(reported) if c != reference)

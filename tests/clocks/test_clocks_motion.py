@@ -30,10 +30,10 @@ def circling(late_s: Mapping[int, float]) -> list[np.ndarray]:
     return energies
 
 
-def verdicts(monkeypatch: pytest.MonkeyPatch, late_s: Mapping[int, float], told_by_people: int) -> list[ClockVerdict]:
+def verdicts(monkeypatch: pytest.MonkeyPatch, late_s: Mapping[int, float], from_people: int) -> list[ClockVerdict]:
     """What is made of such pictures where people tell the clocks of the first ``told_by_people`` cameras."""
     energies = iter(circling(late_s))
-    in_step = [Lag(Source("people"), 0, c, late_s.get(c, 0.0), 0.001, 0.005) for c in range(1, told_by_people)]
+    in_step = [Lag(Source("people"), 0, c, late_s.get(c, 0.0), 0.001, 0.005) for c in range(1, from_people)]
     monkeypatch.setattr(offsets.people, "people_lags", lambda *_: (in_step, {}))
     monkeypatch.setattr(offsets.motion, "read_motion_energy", lambda _: next(energies))
     monkeypatch.setattr(offsets, "read_sound", lambda _: None)
@@ -44,13 +44,13 @@ def verdicts(monkeypatch: pytest.MonkeyPatch, late_s: Mapping[int, float], told_
 
 
 def test_who_walks_in_a_circle_does_not_shift_the_cameras_that_see_nobody(monkeypatch: pytest.MonkeyPatch) -> None:
-    found = verdicts(monkeypatch, {}, told_by_people=8)
+    found = verdicts(monkeypatch, {}, from_people=8)
     assert all(v.offset_s == 0 for v in found)
     assert [v.kind for v in found[1:8]] == ["in step"] * 7, "people are believed although motion contradicts them"
     assert found[8].kind == "undetermined"
 
 
 def test_a_late_camera_is_found_by_people_whatever_motion_says(monkeypatch: pytest.MonkeyPatch) -> None:
-    found = verdicts(monkeypatch, {3: 1.5}, told_by_people=8)
+    found = verdicts(monkeypatch, {3: 1.5}, from_people=8)
     assert found[3].kind == "found"
     assert found[3].offset_s == pytest.approx(1.5)

@@ -25,15 +25,17 @@ def main(notes: Path, jobs: Path, films: list[Path]) -> None:
     )
     for share in had.values():
         assert share["CUDA_VISIBLE_DEVICES"] in ("0", "1"), "a job sees other GPUs than its own"
-    said = [dict(re.findall(r"(\w+)=(\S*)", block)) for block in jobs.read_text().split("\n\n") if "JobId=" in block]
-    asked_mb = {job["JobId"]: megabytes(job["MinMemoryNode"]) for job in said}
-    memory = {name: asked_mb[share["SLURM_JOB_ID"]] for name, share in had.items()}
+    messages = [
+        dict(re.findall(r"(\w+)=(\S*)", block)) for block in jobs.read_text().split("\n\n") if "JobId=" in block
+    ]
+    requested_mb = {job["JobId"]: megabytes(job["MinMemoryNode"]) for job in messages}
+    memory = {name: requested_mb[share["SLURM_JOB_ID"]] for name, share in had.items()}
     assert memory["01.2"] >= 2 * memory["01.1"] - 1, "the second attempt has no more memory than the first"
-    asked = [re.search(r"gres[/:]gpu[:=](\d+)", json.dumps(job)) for job in said]
-    assert asked, "Slurm knows no job"
-    assert all(found and found.group(1) == "1" for found in asked), "a job did not ask for one GPU"
+    requested = [re.search(r"gres[/:]gpu[:=](\d+)", json.dumps(job)) for job in messages]
+    assert requested, "Slurm knows no job"
+    assert all(found and found.group(1) == "1" for found in requested), "a job did not ask for one GPU"
     # At any time at most two jobs ran, and never two on one GPU.
-    spans = [(job["StartTime"], job["EndTime"]) for job in said if job["StartTime"] != "Unknown"]
+    spans = [(job["StartTime"], job["EndTime"]) for job in messages if job["StartTime"] != "Unknown"]
     assert max(sum(start <= at < end for start, end in spans) for at, _ in spans) <= 2
     for film in films:
         shape = read_frame(film, 0).shape

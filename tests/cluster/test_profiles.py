@@ -39,11 +39,11 @@ def submitted() -> dict[str, str]:
 
 @pytest.mark.parametrize("name", PROFILES)
 def test_every_rule_asks_for_its_memory_and_for_more_after_a_failure(name: str) -> None:
-    rules, asked = submitted(), profile(name).get("set-resources", {})
-    assert set(asked) <= set(rules)
+    rules, requested = submitted(), profile(name).get("set-resources", {})
+    assert set(requested) <= set(rules)
     assert [rule for rule, block in rules.items() if "mem_mb=memory(" not in block] == []
     assert [memory(3000)(None, attempt) for attempt in (1, 2, 3)] == [3000, 6000, 12000]
-    for wanted in asked.values():
+    for wanted in requested.values():
         minutes = [eval(str(wanted["runtime"]), {"attempt": attempt}) for attempt in (1, 2, 3)]
         assert minutes == [minutes[0], 2 * minutes[0], 3 * minutes[0]]
     assert profile(name)["retries"] == 2
@@ -100,7 +100,7 @@ def planned(profile_folder: Path, *arguments: str) -> str:
 
 
 @pytest.mark.slow
-def test_a_plan_shows_what_slurm_would_be_asked_for(tmp_path: Path) -> None:
+def test_a_plan_shows_what_slurm_would_get(tmp_path: Path) -> None:
     """Without the plugin: what is Snakemake's own in the profile, understood by Snakemake."""
     own = {key: value for key, value in profile("slurm").items() if key != "executor" and not key.startswith("slurm-")}
     (tmp_path / "config.yaml").write_text(yaml.safe_dump({**own, "cores": 64}))
@@ -111,16 +111,16 @@ def test_a_plan_shows_what_slurm_would_be_asked_for(tmp_path: Path) -> None:
         "views={synthesizer: gen3c}",
         "survey={force: {view_synthesis: 'on', closed_path: 'on'}}",
     )
-    asked = {}
+    requested = {}
     for block in text.split("\nrule ")[1:]:
         resources = re.search(r"resources: (.*)", block)
-        asked[block.partition(":")[0]] = (
+        requested[block.partition(":")[0]] = (
             dict(pair.split("=", 1) for pair in resources.group(1).split(", ")) if resources else {}
         )
-    generate = asked["views_generate"]
+    generate = requested["views_generate"]
     assert (generate["gpu"], generate["mem_mb"], generate["runtime"]) == ("1", "64000", "240")
-    assert asked["views_request"]["mem_mb"] == "3000"
-    assert "gpu" not in asked["views_request"] or asked["views_request"]["gpu"] == "0"
+    assert requested["views_request"]["mem_mb"] == "3000"
+    assert "gpu" not in requested["views_request"] or requested["views_request"]["gpu"] == "0"
 
 
 @pytest.mark.slow

@@ -128,11 +128,11 @@ def as_seen_from_here() -> dict[str, str]:
     """The environment in which git takes checkouts below STUDIORECON_UPSTREAM for those of github.com."""
     given = os.environ.get("STUDIORECON_UPSTREAM", "")
     folders = sorted(Path(given).glob("*+*")) if given else []
-    told = {"GIT_CONFIG_COUNT": str(len(folders))}
+    reported = {"GIT_CONFIG_COUNT": str(len(folders))}
     for k, folder in enumerate(folders):
-        told[f"GIT_CONFIG_KEY_{k}"] = f"url.file://{folder.resolve()}.insteadOf"
-        told[f"GIT_CONFIG_VALUE_{k}"] = f"https://github.com/{folder.name.replace('+', '/')}"
-    return {**os.environ, **told}
+        reported[f"GIT_CONFIG_KEY_{k}"] = f"url.file://{folder.resolve()}.insteadOf"
+        reported[f"GIT_CONFIG_VALUE_{k}"] = f"https://github.com/{folder.name.replace('+', '/')}"
+    return {**os.environ, **reported}
 
 
 def resolved(made: Recipe) -> tuple[str, str]:
@@ -151,9 +151,9 @@ def resolved(made: Recipe) -> tuple[str, str]:
     return (done.stdout, "") if done.returncode == 0 else ("", done.stderr.strip())
 
 
-def out_of_reach(said: str) -> bool:
+def out_of_reach(messages: str) -> bool:
     """Whether uv stopped because git could not be asked, and not because versions contradict."""
-    return bool(re.search(r"[Gg]it operation failed|failed to (clone|fetch)", said))
+    return bool(re.search(r"[Gg]it operation failed|failed to (clone|fetch)", messages))
 
 
 def imported(name: str, made: Recipe, packages: str) -> str:
@@ -207,8 +207,8 @@ def imported(name: str, made: Recipe, packages: str) -> str:
         shutil.rmtree(folder, ignore_errors=True)
 
 
-def _last(said: str) -> str:
-    return next((line.strip() for line in reversed(said.splitlines()) if line.strip()), "nothing was said")
+def _last(messages: str) -> str:
+    return next((line.strip() for line in reversed(messages.splitlines()) if line.strip()), "nothing was said")
 
 
 def main() -> int:
@@ -220,13 +220,13 @@ def main() -> int:
     failed = False
     for name in given.images:
         made = recipe(name)
-        packages, said = resolved(made)
-        if said and out_of_reach(said):
-            print(f"{name}: not looked at, a source cannot be had from here ({_last(said)})", flush=True)
+        packages, messages = resolved(made)
+        if messages and out_of_reach(messages):
+            print(f"{name}: not looked at, a source cannot be had from here ({_last(messages)})", flush=True)
             continue
-        if said:
+        if messages:
             failed = True
-            print(f"{name}: Python {made.python}, CONTRADICTS ITSELF\n{said}", flush=True)
+            print(f"{name}: Python {made.python}, CONTRADICTS ITSELF\n{messages}", flush=True)
             continue
         count = sum(1 for line in packages.splitlines() if line and not line.startswith("#"))
         line = f"{name}: Python {made.python}, {count} packages resolve"

@@ -45,10 +45,10 @@ def test_without_an_engine_one_sentence_says_what_each_of_them_said(
 def test_podman_is_given_folder_tag_and_context(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, root: Path) -> None:
     monkeypatch.setenv("PATH", f"{tmp_path / 'bin'}:/usr/bin:/bin")
     planted(tmp_path / "bin", "podman", f'echo "$@" >> {tmp_path}/calls; echo sha256:12')
-    said = build_image("podman", ContainerImage("core", "studiorecon/core", "0.1.0"), root, tmp_path)
+    messages = build_image("podman", ContainerImage("core", "studiorecon/core", "0.1.0"), root, tmp_path)
     calls = (tmp_path / "calls").read_text().splitlines()
     assert calls[0] == f"build -f {root}/envs/core/Containerfile -t studiorecon/core:0.1.0 {root}"
-    assert "studiorecon/core:0.1.0 in podman's store (sha256:12)" in said
+    assert "studiorecon/core:0.1.0 in podman's store (sha256:12)" in messages
 
 
 def test_apptainer_makes_a_file_completely_or_not_at_all(

@@ -71,13 +71,13 @@ def test_blender_opens_the_scene_as_it_is(tmp_path: Path, root: Path) -> None:
         check=False,
     )
     assert done.returncode == 0, done.stdout[-3000:] + done.stderr[-3000:]
-    told = json.loads(done.stdout.partition("TOLD")[2].splitlines()[0])
-    assert told["fps"] == pytest.approx(FPS)
-    assert told["last"] == FRAMES - 1
+    reported = json.loads(done.stdout.partition("TOLD")[2].splitlines()[0])
+    assert reported["fps"] == pytest.approx(FPS)
+    assert reported["last"] == FRAMES - 1
     for camera in cameras:
-        assert told["pixels"][camera.name] == pytest.approx(camera.project(np.array([point_m]))[0][0], abs=0.05)
-        assert told["films"][camera.name] == [FRAMES]
+        assert reported["pixels"][camera.name] == pytest.approx(camera.project(np.array([point_m]))[0][0], abs=0.05)
+        assert reported["films"][camera.name] == [FRAMES]
     scene = call(read_finished, **given)
-    heads = np.array(told["heads"])
+    heads = np.array(reported["heads"])
     for person in scene.people:
         assert np.linalg.norm(heads - person.trans[frame], axis=-1).min() < 1e-3

@@ -136,8 +136,8 @@ def test_a_motion_longer_than_a_c3d_file_comes_back_whole(
     assert len(nose_x) == frames
     assert np.abs(np.diff(nose_x[:-1]) - 1).max() < 0.02
     assert np.isnan(nose_x[-1])
-    said = capsys.readouterr().out
-    assert all(path.name in said for path in written) == (files > 1)
+    messages = capsys.readouterr().out
+    assert all(path.name in messages for path in written) == (files > 1)
 
 
 def test_an_hour_of_ntsc_is_timed_right_in_every_format(tmp_path: Path, person: Person, body: BodyModel) -> None:
@@ -196,12 +196,12 @@ def test_c3d_holds_the_same_markers_in_millimetres_and_none_where_nothing_was_me
     motion_files.c3d(tmp_path / "p2.c3d", person, body)
     whole = (tmp_path / "p2.c3d").read_bytes()
     file = ezc3d.c3d(str(tmp_path / "p2.c3d"))
-    told = file["parameters"]["POINT"]
-    assert told["LABELS"]["value"][:3] == ["Nose", "Neck", "RShoulder"]
-    assert told["UNITS"]["value"] == ["mm"]
-    assert told["RATE"]["value"].tolist() == [FPS]
-    assert told["FRAMES"]["value"].tolist() == [FRAMES]
-    assert [told[axis]["value"] for axis in ("X_SCREEN", "Y_SCREEN")] == [["+X"], ["+Z"]]
+    reported = file["parameters"]["POINT"]
+    assert reported["LABELS"]["value"][:3] == ["Nose", "Neck", "RShoulder"]
+    assert reported["UNITS"]["value"] == ["mm"]
+    assert reported["RATE"]["value"].tolist() == [FPS]
+    assert reported["FRAMES"]["value"].tolist() == [FRAMES]
+    assert [reported[axis]["value"] for axis in ("X_SCREEN", "Y_SCREEN")] == [["+X"], ["+Z"]]
     points = file["data"]["points"]
     assert points.shape == (4, 25, FRAMES)
     expected = 1000 * body.keypoints(["nose", "right_heel"], person.poses, person.betas, person.trans)

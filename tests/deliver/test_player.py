@@ -52,7 +52,7 @@ def opened(browser: Browser, page: Path, link: str = "frame=0") -> None:
     """The page in the browser, ready and at rest."""
     browser.open("about:blank")
     browser.logged.clear()
-    browser.asked.clear()
+    browser.requested.clear()
     browser.open(f"{page.as_uri()}#{link}")
     browser.wait("!!window.player && player.drawn() > 0")
 
@@ -75,19 +75,20 @@ def test_it_draws_what_our_rasteriser_draws(browser: Browser, page: Path) -> Non
     scene = scene_of(people=2, frames=FRAMES)
     shade, empty = shade_for(scene), replace(scene, people=[], things=[])
     opened(browser, page)
-    told = []
+    reported = []
     for number, camera in enumerate(scene.cameras):
         for frame in TIMES:
             ours = to_bytes(drawn(scene, camera, frame, shade))
             people = np.abs(to_bytes(drawn(empty, camera, frame, shade)).astype(int) - ours).max(axis=-1) > 8
             theirs = seen(browser, mode="camera", camera=number, frame=frame)
-            told.append((camera.name, frame, psnr(theirs, ours), psnr(theirs, ours, people), people.mean()))
+            reported.append((camera.name, frame, psnr(theirs, ours), psnr(theirs, ours, people), people.mean()))
     print(
-        *(f"{name} frame {frame}: {a:.1f} dB, people {b:.1f} dB ({c:.0%})" for name, frame, a, b, c in told), sep="\n"
+        *(f"{name} frame {frame}: {a:.1f} dB, people {b:.1f} dB ({c:.0%})" for name, frame, a, b, c in reported),
+        sep="\n",
     )
-    assert min(entry[2] for entry in told) > 40
-    assert min(entry[3] for entry in told) > 36
-    assert min(entry[4] for entry in told) > 0.03, "people are in every picture"
+    assert min(entry[2] for entry in reported) > 40
+    assert min(entry[3] for entry in reported) > 36
+    assert min(entry[4] for entry in reported) > 0.03, "people are in every picture"
     assert not unexpected(browser)
 
 
@@ -99,7 +100,7 @@ def unexpected(browser: Browser) -> list[str]:
 def test_opened_from_disk_it_asks_nobody_and_logs_nothing(browser: Browser, page: Path) -> None:
     opened(browser, page, "")
     browser.wait("player.drawn() > 3")
-    assert addresses_outside(browser.asked) == []
+    assert addresses_outside(browser.requested) == []
     assert not unexpected(browser)
     assert "No graphics card" in browser.run("document.getElementById('message').textContent")
     assert (
@@ -113,12 +114,12 @@ def test_served_it_asks_the_same_machine_only(browser: Browser, page: Path) -> N
         thread = threading.Thread(target=server.serve_forever, daemon=True)
         thread.start()
         address = server.address("player.html")
-        browser.asked.clear()
+        browser.requested.clear()
         browser.open(address)
         browser.wait("!!window.player && player.drawn() > 0")
         server.shutdown()
         thread.join()
-    assert addresses_outside(browser.asked) == [address]
+    assert addresses_outside(browser.requested) == [address]
 
 
 def test_the_same_moment_gives_the_same_picture(browser: Browser, page: Path) -> None:
@@ -151,7 +152,7 @@ def test_the_truth_map_is_the_one_of_films(browser: Browser, page: Path) -> None
     assert {0, 128, 255} == set(np.unique(levels))
 
 
-def test_whoever_is_switched_off_is_gone(browser: Browser, page: Path) -> None:
+def test_a_person_who_is_switched_off_is_gone(browser: Browser, page: Path) -> None:
     scene, number = scene_of(people=2, frames=FRAMES), 0
     opened(browser, page)
     browser.run("player.scene.sets.forEach((set) => (set.shown = set.name !== 'p0'))")
@@ -277,7 +278,7 @@ SLOWED = """(() => {
 
 def test_the_poster_stands_until_a_picture_is_drawn(browser: Browser, page: Path) -> None:
     opened(browser, page, "camera=cam0&frame=1")
-    told = browser.run(
+    reported = browser.run(
         """new Promise((done) => {
         const told = [];
         const on = () => {
@@ -288,7 +289,7 @@ def test_the_poster_stands_until_a_picture_is_drawn(browser: Browser, page: Path
         on();
     })"""
     )
-    assert all(poster != drawn and picture == drawn for drawn, poster, picture in told)
+    assert all(poster != drawn and picture == drawn for drawn, poster, picture in reported)
 
 
 def test_where_drawing_is_slow_fewer_gaussians_move_and_at_rest_all_are_there(browser: Browser, page: Path) -> None:

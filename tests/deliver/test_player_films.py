@@ -100,7 +100,7 @@ def test_at_rest_the_film_shows_the_frame_of_the_scene(browser: Browser, page: P
 
 def test_who_switches_quickly_sees_the_last_camera_s_film_and_no_complaint(browser: Browser, page: Path) -> None:
     opened(browser, page, "camera=cam0")
-    said = browser.run(
+    messages = browser.run(
         f"""new Promise((done) => {{
         const said = new Set();
         let turn = 0;
@@ -111,7 +111,7 @@ def test_who_switches_quickly_sees_the_last_camera_s_film_and_no_complaint(brows
         }}, 30);
     }})"""
     )
-    assert not any("cannot play" in sentence for sentence in said)
+    assert not any("cannot play" in sentence for sentence in messages)
     browser.wait("!document.getElementById('film').paused && document.getElementById('film').readyState > 2")
     before = browser.run("document.getElementById('film').currentTime")
     browser.wait(f"Math.abs(document.getElementById('film').currentTime - {before}) > 0.3")

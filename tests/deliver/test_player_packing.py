@@ -58,16 +58,16 @@ def unpacked_quaternions(data: bytes, described: dict) -> np.ndarray:
     return found
 
 
-def back(held: Bytes, told: dict) -> np.ndarray:
-    return unpacked(bytes(held.data), told)
+def back(held: Bytes, reported: dict) -> np.ndarray:
+    return unpacked(bytes(held.data), reported)
 
 
 def test_numbers_come_back_within_half_a_step() -> None:
     rng = np.random.default_rng(0)
     held, values = Bytes(), rng.normal(size=(1000, 3)) * [1, 10, 0]
     for bits in (8, 16, 24):
-        told = held.levels(values, bits)
-        off = np.abs(back(held, told) - values)
+        reported = held.levels(values, bits)
+        off = np.abs(back(held, reported) - values)
         assert (off <= 0.5 * np.ptp(values, axis=0) / (2**bits - 1) + 1e-12).all()
     whole = rng.integers(0, 2**24, (50, 2))
     assert (back(held, held.whole(whole, 24)) == whole).all()
@@ -78,8 +78,8 @@ def test_numbers_come_back_within_half_a_step() -> None:
 def test_turns_come_back_within_a_fifth_of_a_degree() -> None:
     given = np.concatenate([np.random.default_rng(1).normal(size=(2000, 4)), np.eye(4), -np.eye(4), np.zeros((1, 4))])
     held = Bytes()
-    told = held.quaternions(given)
-    kept = unpacked_quaternions(bytes(held.data), told)
+    reported = held.quaternions(given)
+    kept = unpacked_quaternions(bytes(held.data), reported)
     apart = rotations.angle(rotations.from_quaternion(given), rotations.from_quaternion(kept))
     assert np.degrees(apart).max() < 0.2
 
@@ -112,7 +112,7 @@ def test_neighbours_on_the_curve_are_near() -> None:
     assert np.median(steps) < 0.25 * np.median(np.linalg.norm(np.diff(points, axis=0), axis=1))
 
 
-def told_of(page: Path) -> tuple[dict, bytes]:
+def reported_of(page: Path) -> tuple[dict, bytes]:
     text = page.read_text(encoding="utf-8")
     held = re.search(r'id="bytes">([^<]*)<', text).group(1)
     return json.loads(re.search(r'id="scene">([^<]*)<', text).group(1)), gzip.decompress(base64.b64decode(held))
@@ -124,10 +124,10 @@ def page(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return write_page(tmp_path_factory.mktemp("page") / "player.html", scene, NONE, shade_for(scene))
 
 
-def test_gaussians_stand_where_they_stood_to_a_tenth_of_a_millimetre(page: Path) -> None:
-    scene, (told, data) = scene_of(people=2, frames=5), told_of(page)
+def test_gaussians_stay_where_they_were_to_a_tenth_of_a_millimetre(page: Path) -> None:
+    scene, (reported, data) = scene_of(people=2, frames=5), reported_of(page)
     owners = [(scene.room, scene.provenance), *((p.gaussians, p.provenance) for p in scene.people)]
-    for entry, (own, marks) in zip(told["sets"], owners):
+    for entry, (own, marks) in zip(reported["sets"], owners):
         order = morton_order(own.means_m)
         assert np.abs(unpacked(data, entry["means"]) - own.means_m[order]).max() < 1e-4
         assert np.abs(unpacked(data, entry["colours"]) - own.sh[order, 0]).max() < 1e-3
@@ -144,8 +144,8 @@ def joints_read_back(entry: dict, data: bytes, count: int) -> np.ndarray:
 
 
 def test_joints_move_as_the_body_model_says_to_half_a_millimetre(page: Path) -> None:
-    scene, (told, data) = scene_of(people=2, frames=5), told_of(page)
-    for person, entry in zip(scene.people, told["sets"][1:]):
+    scene, (reported, data) = scene_of(people=2, frames=5), reported_of(page)
+    for person, entry in zip(scene.people, reported["sets"][1:]):
         exact = np.stack([person.joints_m(frame) for frame in range(5)])
         assert np.abs(joints_read_back(entry, data, 5) - exact).max() < 5e-4
 
@@ -156,30 +156,32 @@ def longer(person: Avatar, frames: int) -> Avatar:
     return replace(person, **arrays)
 
 
-def test_long_motion_is_told_at_fewer_moments_and_says_so(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_long_motion_is_reported_at_fewer_moments_and_says_so(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(player_data, "MOTION_BYTES", 30_000)
     short = scene_of(people=2, frames=4, things=False)
     people = [longer(replace(person, network=None), 600) for person in short.people]
     scene = replace(short, capture=replace(short.capture, frames=600), people=people)
-    told, sentences = describe_scene(scene, Bytes(), NONE)
-    assert told["moments"] == 30_000 // (2 * (24 * 8 + 12))
-    assert any(f"motion is sampled at {told['moments']} moments of 600 frames" in sentence for sentence in sentences)
+    reported, sentences = describe_scene(scene, Bytes(), NONE)
+    assert reported["moments"] == 30_000 // (2 * (24 * 8 + 12))
+    assert any(
+        f"motion is sampled at {reported['moments']} moments of 600 frames" in sentence for sentence in sentences
+    )
     assert motion_times(600, 7)[[0, -1]].tolist() == [0, 599]
 
 
-def test_a_network_without_places_of_its_own_is_asked_at_some() -> None:
+def test_a_network_without_places_of_its_own_is_evaluated_at_some() -> None:
     scene = scene_of(people=1, frames=4, things=False)
     assert scene.people[0].network is not None
     person = replace(scene.people[0], network=replace(scene.people[0].network, control=None))
     _, sentences = describe_scene(replace(scene, people=[person]), Bytes(), NONE)
-    told = next(sentence for sentence in sentences if "colours of p0" in sentence)
-    assert "4 moments and 512 places" in told
-    assert float(re.search(r"within ([\d.]+) %", told).group(1)) < 60
+    reported = next(sentence for sentence in sentences if "colours of p0" in sentence)
+    assert "4 moments and 512 places" in reported
+    assert float(re.search(r"within ([\d.]+) %", reported).group(1)) < 60
 
 
 def test_a_shadow_lies_on_the_same_gaussians(page: Path) -> None:
-    scene, (told, data) = scene_of(people=2, frames=5), told_of(page)
-    entry, shade = told["sets"][0]["shade"], shade_for(scene)
+    scene, (reported, data) = scene_of(people=2, frames=5), reported_of(page)
+    entry, shade = reported["sets"][0]["shade"], shade_for(scene)
     at = unpacked(data, entry["at"])[:, 0].astype(int)
     order = morton_order(scene.room.means_m)
     factors = unpacked(data, entry["factors"]).reshape(5, len(at))
@@ -189,11 +191,11 @@ def test_a_shadow_lies_on_the_same_gaussians(page: Path) -> None:
     assert np.abs(factors - exact).max() < 0.004
 
 
-def test_names_stay_text_and_nothing_is_asked_of_a_network(tmp_path: Path) -> None:
+def test_names_stay_text_and_nothing_is_requested_from_a_network(tmp_path: Path) -> None:
     scene = replace(scene_of(people=0, frames=2, things=False), name="</script><b>x</b>")
     text = write_page(tmp_path / "player.html", scene).read_text(encoding="utf-8")
     assert "<b>x</b>" not in text
-    assert told_of(tmp_path / "player.html")[0]["scene"] == "</script><b>x</b>"
+    assert reported_of(tmp_path / "player.html")[0]["scene"] == "</script><b>x</b>"
     assert not re.search(r'(src|href)="(?!data:)|@import|url\(|https?://', text)
 
 
@@ -211,8 +213,8 @@ def test_what_cameras_filmed_is_a_film_or_some_photos(tmp_path: Path, monkeypatc
     assert bytes(held.data)[film["at"] + 4 : film["at"] + 8] == b"ftyp"
     monkeypatch.setattr(player, "FILM_FRAMES", 10)
     cameras = [{} for _ in videos]
-    told = player.add_footage(held, cameras, videos, 20, 15.0)
-    assert "8 of 20 photos" in told[0]
+    reported = player.add_footage(held, cameras, videos, 20, 15.0)
+    assert "8 of 20 photos" in reported[0]
     assert [photo["frame"] for photo in cameras[0]["photos"]][:: len(cameras[0]["photos"]) - 1] == [0, 19]
 
 
@@ -220,7 +222,7 @@ def test_the_page_knows_when_somebody_is_away(tmp_path: Path) -> None:
     scene = scene_of(people=2, frames=5)
     late = replace(scene.people[1], present=np.array([False, False, True, True, False]))
     page = write_page(tmp_path / "player.html", replace(scene, people=[scene.people[0], late]))
-    told, data = told_of(page)
-    always, gone = (entry["motion"] for entry in told["sets"] if entry["kind"] == "person")
+    reported, data = reported_of(page)
+    always, gone = (entry["motion"] for entry in reported["sets"] if entry["kind"] == "person")
     assert "present" not in always
     assert unpacked(data, gone["present"]).ravel().tolist() == [0, 0, 1, 1, 0]

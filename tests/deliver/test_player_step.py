@@ -39,9 +39,9 @@ def files(tmp_path: Path, root: Path) -> dict:
 
 def test_a_page_and_its_poster_come_out_and_the_same_bytes_again(files: dict, capsys: pytest.CaptureFixture) -> None:
     call(player.run, **files)
-    told = capsys.readouterr().out
-    assert "people cast no shadows here" in told
-    assert f"1 people and 0 things over {FRAMES} frames" in told
+    reported = capsys.readouterr().out
+    assert "people cast no shadows here" in reported
+    assert f"1 people and 0 things over {FRAMES} frames" in reported
     page = files["page"].read_bytes()
     assert page.startswith(b"<!doctype html>")
     assert b"<!--" not in page, "every part of the page is filled in"

@@ -180,10 +180,10 @@ def test_khronos_finds_nothing_wrong(tmp_path: Path, root: Path, people: int) ->
     write_scene(tmp_path, root, people=people, filmed=False)
     given = options(tmp_path, people)
     with_a_thing(tmp_path, given)
-    told = subprocess.run(
+    reported = subprocess.run(
         ["node", "-e", _VALIDATE, str(given["glb"])], env=environment, capture_output=True, text=True, check=True
     )
-    messages = json.loads(told.stdout)["issues"]["messages"]
+    messages = json.loads(reported.stdout)["issues"]["messages"]
     serious = [one for one in messages if one["severity"] < 2 and not unknown_attribute(one)]
     assert not serious
     assert len(messages) < 50, "beyond, the validator says no more"
@@ -212,8 +212,10 @@ def test_playcanvas_draws_the_room_through_the_scene_s_own_cameras(tmp_path: Pat
     with served_from(served) as address, software_gl(tmp_path / "profile") as browser:
         browser.open(f"{address}/page.html")
         browser.wait("!!window.told")
-        told = browser.run("told")
-        assert told == {"cameras": [c.name for c in cameras], "skins": 2, "rooms": 1, "animations": 1}, browser.logged
+        reported = browser.run("told")
+        assert reported == {"cameras": [c.name for c in cameras], "skins": 2, "rooms": 1, "animations": 1}, (
+            browser.logged
+        )
         for k, camera in enumerate(cameras):
             theirs = pixels(browser, f"shown({k})")[::-1].astype(np.float64)
             ours = to_bytes(Rasteriser(near_m=0.2).forward(room, camera).rgb).astype(np.float64)

@@ -115,9 +115,9 @@ REFUSED: dict[str, tuple[Callable[[Path, np.ndarray], Any], np.ndarray, str, Cal
 
 @pytest.mark.parametrize("name", REFUSED)
 def test_a_file_without_depth_changed_as_advised_is_read(name: str, folder: Path) -> None:
-    camera, (write, content, said, mended) = room_views(WH)[0][0], REFUSED[name]
+    camera, (write, content, messages, mended) = room_views(WH)[0][0], REFUSED[name]
     write(folder / name, content)
-    with pytest.raises(UserError, match=said):
+    with pytest.raises(UserError, match=messages):
         read_camera_estimate(folder / name, camera)
     mended(folder / name, DEPTH)
     np.testing.assert_allclose(read_camera_estimate(folder / name, camera), 2.0)

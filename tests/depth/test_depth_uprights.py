@@ -63,9 +63,9 @@ WALL = [(float(u), 4.0, 2.0) for u in np.linspace(-2.5, 2.5, 7)]
 
 def test_a_wall_that_one_camera_sees_stands_behind_the_feet_of_its_uprights() -> None:
     one = [camera(0.0, -3.0), camera(-3.0, 0.5, (0.0, -1.0))]
-    box, told = placed(one, [drawn(one[0], WALL, 0), np.full(WH[::-1], 120, np.uint8)], open_place(one))
-    assert told.keys() == {3}, "v_high alone"
-    assert told[3] >= 8
+    box, reported = placed(one, [drawn(one[0], WALL, 0), np.full(WH[::-1], 120, np.uint8)], open_place(one))
+    assert reported.keys() == {3}, "v_high alone"
+    assert reported[3] >= 8
     assert box.high_m[1] == pytest.approx(4.0 + 0.5, abs=0.15)
     assert not box.fitted.any(), "nothing was matched there"
     before = open_place(one)
@@ -110,11 +110,11 @@ def test_what_stands_along_a_wall_says_nothing_of_the_wall_beside_it() -> None:
     """Uprights in a corner face two walls: with one more post before them they would make a line of either."""
     cornered = [*WALL[:5], (2.3, 4.0, 2.0), (2.5, 4.0, 2.0), (2.7, 4.0, 2.0), (2.5, 3.0, 2.0)]
     one = [camera(-2.0, -2.5, (1.5, 2.5))]
-    told = placed(one, [drawn(one[0], cornered, 0, 0.1)], open_place(one))[1]
-    assert told.keys() == {3}
+    reported = placed(one, [drawn(one[0], cornered, 0, 0.1)], open_place(one))[1]
+    assert reported.keys() == {3}
 
 
-def test_a_wall_that_is_too_far_to_be_told_stays_a_default() -> None:
+def test_a_wall_that_is_too_far_to_be_measured_stays_a_default() -> None:
     one = [camera(0.0, -3.0, height_m=1.1)]
     far = [(1.5 * u, 9.5, 2.5) for u, _, _ in WALL]
     assert placed(one, [drawn(one[0], far, 0, 0.5)], open_place(one))[1] == {}
@@ -122,8 +122,8 @@ def test_a_wall_that_is_too_far_to_be_told_stays_a_default() -> None:
 
 def test_a_camera_that_stands_beside_cupboards_is_inside_the_room() -> None:
     pair = [camera(0.0, -3.0), camera(-2.9, 4.1, (0.0, 0.0))]
-    box, told = placed(pair, [drawn(pair[0], WALL, 0), np.full(WH[::-1], 120, np.uint8)], open_place(pair))
-    assert 3 in told
+    box, reported = placed(pair, [drawn(pair[0], WALL, 0), np.full(WH[::-1], 120, np.uint8)], open_place(pair))
+    assert 3 in reported
     assert box.high_m[1] >= 4.1 + 0.3
 
 
@@ -132,9 +132,9 @@ def test_where_two_walls_are_known_the_others_are_not_far_off() -> None:
     blank = np.full(WH[::-1], 120, np.uint8)
     box = replace(open_place(one), fitted=np.arange(6) == 0)
     box.low_m[0] = -3.5
-    found, told = placed(one, [drawn(one[0], WALL, 0)], box)
-    assert told.keys() == {1, 2, 3}
-    assert (told[1], told[2]) == (0, 0)
+    found, reported = placed(one, [drawn(one[0], WALL, 0)], box)
+    assert reported.keys() == {1, 2, 3}
+    assert (reported[1], reported[2]) == (0, 0)
     behind_m = found.high_m[1] + 3.0
     assert found.high_m[0] == pytest.approx(behind_m)
     assert found.low_m[1] == pytest.approx(-3.0 - behind_m)
@@ -142,8 +142,8 @@ def test_where_two_walls_are_known_the_others_are_not_far_off() -> None:
     np.testing.assert_array_equal(placed(one, [blank], box)[0].high_m, box.high_m)
 
 
-@pytest.mark.parametrize(("beside", "told"), [(10, True), (60, False)])
-def test_a_line_that_few_of_the_feet_stand_on_is_no_wall(beside: int, told: bool) -> None:
+@pytest.mark.parametrize(("beside", "reported"), [(10, True), (60, False)])
+def test_a_line_that_few_of_the_feet_stand_on_is_no_wall(beside: int, reported: bool) -> None:
     """Among things that stand about, some stand in a row by chance."""
     row = np.stack([np.full(8, 3.0), np.linspace(-1.0, 1.0, 8)], 1)
     rng = np.random.default_rng(0)
@@ -154,6 +154,6 @@ def test_a_line_that_few_of_the_feet_stand_on_is_no_wall(beside: int, told: bool
         place_m, towards, np.full(count, 0.02), np.full(count, 3.0), np.zeros(count, int)
     )
     line = ground_contacts.wall_line(seen, np.array([1.0, 0.0]), 0.0, 5.0)
-    assert (line is not None) == told
+    assert (line is not None) == reported
     if line is not None:
         assert line[0] == pytest.approx(3.0, abs=0.05)

@@ -27,9 +27,9 @@ FILES = ("movenet_multipose.onnx", "pose_landmark_full.onnx")
 
 def test_the_networks_are_those_that_were_baked(root: Path) -> None:
     folder = root / "resources/detector"
-    told = dict(reversed(line.split()) for line in (folder / "checksums.sha256").read_text().splitlines())
-    assert set(told) == {p.name for p in folder.glob("*.onnx")}
-    for name, digest in told.items():
+    reported = dict(reversed(line.split()) for line in (folder / "checksums.sha256").read_text().splitlines())
+    assert set(reported) == {p.name for p in folder.glob("*.onnx")}
+    for name, digest in reported.items():
         assert hashlib.sha256((folder / name).read_bytes()).hexdigest() == digest, name
 
 

@@ -66,7 +66,7 @@ class OfTheUpright:
 
 
 @pytest.mark.parametrize("turns", range(4))
-def test_people_are_looked_for_upright_and_told_in_the_films_own_pixels(
+def test_people_are_looked_for_upright_and_reported_in_the_films_own_pixels(
     turns: int, root: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(people.DetectorFiles, "detector", lambda _: OfTheUpright())

@@ -75,6 +75,6 @@ def test_one_person_of_the_older_solutions(tmp_path: Path) -> None:
     ],
     ids=["hands", "pixels", "flat", "text", "word", "numbers"],
 )
-def test_what_is_no_landmark_is_told_with_its_frame(tmp_path: Path, found: Any, says: str) -> None:
+def test_what_is_no_landmark_is_reported_with_its_frame(tmp_path: Path, found: Any, says: str) -> None:
     with pytest.raises(UserError, match=f"cam1.json, {says}"):
         read_keypoints(written(tmp_path, [{"pose_landmarks": found}]), WH)

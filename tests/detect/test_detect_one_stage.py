@@ -113,9 +113,9 @@ def test_of_two_people_the_one_who_agrees_with_the_landmarks_counts(tmp_path: Pa
     picture, places = scene()
     for truth in places:
         # The landmarks themselves are off by a few pixels.
-        told = truth + np.random.default_rng(1).normal(0, 4, truth.shape)
-        found = network.look(picture, landmarks_of(told))
-        scale = 1.6 * np.ptp(landmarks_of(told), axis=0).max() / EDGE
+        reported = truth + np.random.default_rng(1).normal(0, 4, truth.shape)
+        found = network.look(picture, landmarks_of(reported))
+        scale = 1.6 * np.ptp(landmarks_of(reported), axis=0).max() / EDGE
         off = found[:, :2] - truth
         # Discs hide one another at places.
         assert np.quantile(np.linalg.norm(off, axis=1), 0.8) < 2 * scale, off

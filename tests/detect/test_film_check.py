@@ -115,8 +115,8 @@ def test_frames_whose_people_are_missing_are_named(takes: list[Take], part: slic
     ],
 )
 def test_frames_without_a_record_are_named_where_no_track_bridges_them(recorded: np.ndarray, named: str) -> None:
-    said = " ".join(without_record("a", recorded, 72, 14.5))
-    assert (named in said) if named else not said
+    messages = " ".join(without_record("a", recorded, 72, 14.5))
+    assert (named in messages) if named else not messages
 
 
 @pytest.mark.parametrize("part", [slice(0, 30), slice(36, 72), slice(20, 50)])
@@ -245,6 +245,6 @@ def test_chapters_are_compared_as_one_film(exchanged: bool, takes: list[Take], t
     people = [people_of(own, 0, cut), people_of(own, cut, len(own.pictures))]
     order = -1 if exchanged else 1
     refusal, frame, _ = read_from_files(tmp_path, tmp_path / "a.ffconcat", people[::order])
-    said = refusal + " ".join(read_keypoint_verdict(tmp_path / "a.json").notes)
-    assert bool(said) == exchanged
+    messages = refusal + " ".join(read_keypoint_verdict(tmp_path / "a.json").notes)
+    assert bool(messages) == exchanged
     assert exchanged or set(frame.tolist()) == set(own.recorded.frame.tolist())

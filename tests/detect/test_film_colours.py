@@ -63,7 +63,7 @@ def test_an_inverted_film_is_named_by_its_people(tmp_path: Path) -> None:
         films[camera] = open_source(tmp_path / f"{camera}.mp4", 0.0)
         frames = np.arange(12)
         seen.append(Detections(camera, "coco17", frames, np.zeros(12, int), np.repeat(keypoints, 12, axis=0)))
-    (said,) = colour_notes(films, seen)
-    assert "camera b have the colours of the other films with its colours inverted" in said
+    (messages,) = colour_notes(films, seen)
+    assert "camera b have the colours of the other films with its colours inverted" in messages
     assert colour_notes(films, [d for d in seen if d.camera != "b"]) == []
     assert colour_notes(films, [Detections("a", "coco17", frames[:0], frames[:0], keypoints[:0])]) == []

@@ -141,14 +141,14 @@ def read(path: Path, capsys: pytest.CaptureFixture[str]) -> tuple[int, str]:
 def test_a_keypoint_file_changed_as_advised_is_read(
     row: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    brought, said, done = ROWS[row]
+    brought, messages, done = ROWS[row]
     for name in ("before", "after"):
         (tmp_path / name).mkdir()
     try:
         _, message = read(brought(tmp_path / "before"), capsys)
     except UserError as refusal:
         message = str(refusal)
-    assert re.search(said, message)
+    assert re.search(messages, message)
     people, message = read(done(tmp_path / "after"), capsys)
     assert people == FRAMES
     assert not message
@@ -170,16 +170,16 @@ def test_a_folder_within_the_camera_s_folder_is_read(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    ("given", "points", "said", "advised"),
+    ("given", "points", "messages", "advised"),
     [
         ("openpose", 17, "known layouts are .*coco17", "coco17"),
         ("body_25", 17, "body_25 has 25", "auto"),
         ("auto", 25, "set keypoint_layout in capture.yaml", "body_25b"),
     ],
 )
-def test_a_layout_named_as_advised_is_taken(given: str, points: int, said: str, advised: str) -> None:
+def test_a_layout_named_as_advised_is_taken(given: str, points: int, messages: str, advised: str) -> None:
     keypoints = np.tile(np.array([50.0, 50.0, 0.9]), (4, points, 1))
-    with pytest.raises(UserError, match=said):
+    with pytest.raises(UserError, match=messages):
         choose_layout(keypoints, given, "cam.json")
     assert choose_layout(keypoints, advised, "cam.json")[0] in LAYOUTS
 

@@ -48,9 +48,9 @@ def test_links_lead_to_files(page: Path) -> None:
 
 def test_pages_build_strictly(tmp_path: Path) -> None:
     site = [sys.executable, "-m", "mkdocs", "build", "--strict", "--quiet", "-f", "resources/site.yml"]
-    told = {**os.environ, "NO_MKDOCS_2_WARNING": "1"}
+    reported = {**os.environ, "NO_MKDOCS_2_WARNING": "1"}
     built = subprocess.run(
-        [*site, "-d", str(tmp_path / "site")], cwd=ROOT, capture_output=True, text=True, check=False, env=told
+        [*site, "-d", str(tmp_path / "site")], cwd=ROOT, capture_output=True, text=True, check=False, env=reported
     )
     assert built.returncode == 0, built.stdout + built.stderr
     assert "Time limit of one configuration of a sweep" in (tmp_path / "site/settings.html").read_text()
@@ -118,9 +118,9 @@ def test_commands_of_the_pages_exist(page: str, command: str, capsys: pytest.Cap
         with pytest.raises(SystemExit) as left:
             command_main([rest[0], "--help"])
         assert left.value.code == 0, f"studiorecon has no word {rest[0]}"
-        told = capsys.readouterr().out
+        reported = capsys.readouterr().out
         for word in (word for word in rest[1:] if word.startswith("--")):
-            assert word in told, f"studiorecon {rest[0]} has no {word}"
+            assert word in reported, f"studiorecon {rest[0]} has no {word}"
     elif program == "python":
         assert rest[0] == "-m", command
         name = f"studiorecon.{rest[1]}" if rest[1] == "studiorecon" and "." in rest[1] else rest[1]

@@ -30,7 +30,7 @@ def tiles(seed: int, blur_px: float) -> np.ndarray:
     return (small + rng.normal(0, 0.001, small.shape)).astype(np.float32)
 
 
-def judged(blurs_px: list[float], seed: int = 0) -> Decision:
+def scored(blurs_px: list[float], seed: int = 0) -> Decision:
     """The decision where the cameras' plates are tiles blurred by so much."""
     material: SurveyInput = scene(seed)
     views = [
@@ -43,7 +43,7 @@ def judged(blurs_px: list[float], seed: int = 0) -> Decision:
 
 @pytest.mark.parametrize("seed", range(3))
 def test_one_camera_out_of_focus_is_found_and_named(seed: int) -> None:
-    found = judged([0.0, 0.0, 1.5, 0.0], seed)
+    found = scored([0.0, 0.0, 1.5, 0.0], seed)
     assert found.verdict == "on"
     assert found.reason.startswith("c2's")
     # 1.5 px of 288 are 6.7 of 1280.
@@ -53,12 +53,12 @@ def test_one_camera_out_of_focus_is_found_and_named(seed: int) -> None:
 @pytest.mark.parametrize("seed", range(2))
 @pytest.mark.parametrize("blur_px", [0.0, 1.0])
 def test_cameras_that_are_equally_sharp_set_nothing_off(blur_px: float, seed: int) -> None:
-    assert judged([blur_px] * 4, seed).verdict == "off"
+    assert scored([blur_px] * 4, seed).verdict == "off"
 
 
 @pytest.mark.parametrize("seed", range(2))
 def test_a_camera_that_sees_somewhat_softer_things_is_not_called_out_of_focus(seed: int) -> None:
-    found = judged([1.0, 1.0, 1.2, 1.0], seed)
+    found = scored([1.0, 1.0, 1.2, 1.0], seed)
     assert found.value is not None
     assert found.value > DEFOCUS.threshold
     assert found.verdict == "undetermined"

@@ -102,7 +102,7 @@ def film(folder: Path, count: int, film_noise: float) -> tuple[list[PathStep], P
 
 
 @pytest.mark.parametrize(("levels", "film_noise", "verdict"), [(4.0, 0.0, "on"), (0.0, 0.0, "off"), (0.5, 6.0, "off")])
-def test_flicker_that_enhancement_adds_is_told_from_what_was_there(
+def test_flicker_that_enhancement_adds_differs_from_what_was_there(
     tmp_path: Path, levels: float, film_noise: float, verdict: str
 ) -> None:
     steps, render, depth = film(tmp_path, 12, film_noise)

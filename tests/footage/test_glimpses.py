@@ -31,7 +31,7 @@ def written(path: Path, key_frames_every: int) -> Path:
 
 @pytest.mark.parametrize("suffix", ["mp4", "mkv"])
 @pytest.mark.parametrize("key_frames_every", [10, 50, 1000])
-def test_the_frames_are_those_that_were_asked_for(tmp_path: Path, suffix: str, key_frames_every: int) -> None:
+def test_the_frames_are_those_that_were_requested(tmp_path: Path, suffix: str, key_frames_every: int) -> None:
     source = open_source(written(tmp_path / f"a.{suffix}", key_frames_every), 30.0)
     wanted = [0, 0, 1, 37, 38, 51, 100, 119, 119, 500]
     found = [float(picture.mean()) / 2 for picture in seek_frames(source, wanted)]
@@ -40,18 +40,18 @@ def test_the_frames_are_those_that_were_asked_for(tmp_path: Path, suffix: str, k
 
 def test_one_group_of_pictures_is_decoded_once(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """And where there are many, none of those between."""
-    sought: list[int] = []
+    searched: list[int] = []
     between = footage._key_frame_between
 
     def noted(stream: av.VideoStream, after: float, target: float) -> bool:
-        sought.append(between(stream, after, target))
-        return bool(sought[-1])
+        searched.append(between(stream, after, target))
+        return bool(searched[-1])
 
     monkeypatch.setattr(footage, "_key_frame_between", noted)
     for every, jumps in ((1000, [False] * 4), (10, [True] * 4)):
-        sought.clear()
+        searched.clear()
         seek_frames(open_source(written(tmp_path / f"{every}.mp4", every), 30.0), [0, 25, 50, 75, 100])
-        assert sought == jumps
+        assert searched == jumps
 
 
 def test_colours_are_set_up_once_for_all_glimpses(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

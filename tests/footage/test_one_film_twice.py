@@ -77,7 +77,7 @@ def test_pictures_without_anything_in_them_say_nothing() -> None:
     assert not same_view(static_image([black]), static_image([black]))
 
 
-def test_a_film_that_cannot_be_read_is_told_and_the_others_are_compared(
+def test_a_film_that_cannot_be_read_is_reported_and_the_others_are_compared(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     sources = {c: open_source(film(tmp_path / f"{c}.mp4", 0, 3 * k), 0.0) for k, c in enumerate("abc")}

@@ -178,17 +178,17 @@ def test_a_size_that_changes_back_is_named_where_it_is_read(tmp_path: Path) -> N
 
 
 @pytest.mark.parametrize(
-    ("content", "told"),
+    ("content", "reported"),
     [(b"", "empty"), (b"these are not frames", "cannot be read as a video"), (None, "single frame")],
     ids=["empty", "text", "one"],
 )
-def test_what_is_no_film_is_refused_in_one_sentence(content: bytes | None, told: str, tmp_path: Path) -> None:
+def test_what_is_no_film_is_refused_in_one_sentence(content: bytes | None, reported: str, tmp_path: Path) -> None:
     path = tmp_path / "a.mp4"
     if content is None:
         write_video(path, PICTURES[:1])
     else:
         path.write_bytes(content)
-    with pytest.raises(UserError, match=told):
+    with pytest.raises(UserError, match=reported):
         open_source(path, 30.0)
 
 

@@ -32,7 +32,7 @@ def test_c01_a_rotation_written_with_three_digits_is_made_a_rotation_again():
     assert np.abs(camera.unproject(pixel, depth) - POINT).max() < 1e-9
 
 
-def test_c02_both_directions_of_a_pose_are_told_apart_by_name():  # C02 naive: 5.67 m off
+def test_c02_both_directions_of_a_pose_are_distinguished_by_name():  # C02 naive: 5.67 m off
     pose = camera_from_world_of_pose(CAMERA.world_from_camera, "x")
     assert np.abs(pose - CAMERA.camera_from_world).max() < 1e-12
     loaded, naive = (Camera("c", CAMERA.wh, CAMERA.intrinsics, m) for m in (pose, CAMERA.world_from_camera))

@@ -63,9 +63,9 @@ def test_opposite_cameras_fly_the_same_way_whatever_the_rounding(noise: float) -
 @pytest.mark.parametrize("noise", [0.0, 1e-9, -1e-9], ids=lambda v: f"R05-warned-{v:g}")
 def test_the_choice_between_two_ways_is_said(noise: float, capsys: pytest.CaptureFixture[str]) -> None:
     way(at(10), at(190 + np.degrees(noise)))
-    said = capsys.readouterr().out
-    assert "exactly opposite directions" in said
-    assert said.count("\n") == 1
+    messages = capsys.readouterr().out
+    assert "exactly opposite directions" in messages
+    assert messages.count("\n") == 1
     # Where nothing was chosen nothing is said: neighbours of a ring, and looks that do not go by slerp.
     way(at(10), at(100))
     way(at(10), at(185))

@@ -111,9 +111,9 @@ def test_without_an_edit_all_of_these_tests_pass(copy: Path) -> None:
 @pytest.mark.slow
 @pytest.mark.parametrize("mutation", MUTATIONS, ids=lambda m: m.name)
 def test_a_wrong_edit_is_noticed(copy: Path, mutation: Mutation) -> None:
-    seen, said = noticed(copy, mutation)
+    seen, messages = noticed(copy, mutation)
     assert seen, (
-        f"no test of {mutation.tests} notices {mutation.before!r} → {mutation.after!r} in {mutation.file}:\n{said}"
+        f"no test of {mutation.tests} notices {mutation.before!r} → {mutation.after!r} in {mutation.file}:\n{messages}"
     )
 
 

@@ -66,7 +66,7 @@ def settings(default_settings: Callable) -> Callable[..., train.Settings]:
     return load
 
 
-def test_a_person_is_recognisable_from_where_no_camera_stood(
+def test_a_person_is_recognisable_from_where_no_camera_was(
     made: Made, body: BodyModel, settings: Callable, tmp_path: Path
 ) -> None:
     between = ring([45, 200], "view", wh=WH)
@@ -254,7 +254,7 @@ def test_a_turning_body_shows_four_cameras_more_sides_than_one_that_stands_still
     settings: Callable[..., train.Settings],
 ) -> None:
     """Degree 2 needs nine directions (G15); what counts are those in the body's own frame."""
-    asked, frames = settings(sh_degree=2), 12
+    requested, frames = settings(sh_degree=2), 12
     cameras = [
         SimpleNamespace(centre_m=np.array([3 * np.cos(a), 3 * np.sin(a), 1.5])) for a in np.pi / 2 * np.arange(4)
     ]
@@ -263,8 +263,8 @@ def test_a_turning_body_shows_four_cameras_more_sides_than_one_that_stands_still
         poses = np.zeros((frames, 72))
         poses[:, 2] = turn_rad * np.arange(frames)
         motion = RefinedMotion(poses, np.zeros((frames, 3)), np.zeros((24, 3)), np.r_[-1, np.arange(23)])
-        assert rest_pose.supported_degree(asked, motion, crops) == degree
-        assert rest_pose.supported_degree(replace(asked, limit_sh_to_views=False), motion, crops) == 2
+        assert rest_pose.supported_degree(requested, motion, crops) == degree
+        assert rest_pose.supported_degree(replace(requested, limit_sh_to_views=False), motion, crops) == 2
 
 
 @pytest.mark.parametrize(("cut_px", "expected"), [(-2, (0, 0)), (0, (0, 0)), (1, (0, 2)), (2, (2, 3)), (5, (5, 6))])

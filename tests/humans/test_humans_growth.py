@@ -43,7 +43,7 @@ def trained(made: Made, body: BodyModel, default_settings: Callable, tmp_path: P
     return run
 
 
-def test_too_few_gaussians_grow_until_told_and_show_more(
+def test_too_few_gaussians_grow_until_the_last_step_and_show_more(
     trained: Callable[..., Avatar], made: Made, body: BodyModel, tmp_path: Path
 ) -> None:
     plain = trained("plain", {"use": "none"})

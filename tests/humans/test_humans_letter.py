@@ -94,7 +94,7 @@ def test_black_or_another_colour_at_every_step_stands_behind(
     assert len({tuple(behind) for behind in seen if behind != grey}) == 5
 
 
-def test_the_letters_network_is_told_every_band_of_time() -> None:
+def test_the_papers_network_gets_every_band_of_time() -> None:
     assert time_bands(30) < 10
     some, every = encode_time(7, 30), encode_time(7, 30, use_all_bands=True)
     assert np.count_nonzero(some) < np.count_nonzero(every) == 21

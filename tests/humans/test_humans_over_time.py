@@ -156,11 +156,11 @@ def filmed(root: Path, default_settings: Callable) -> Callable[..., float]:
         network = TemporalNetwork.start(np.full(3, -1.2), np.full(3, 1.2), CLIP, np.random.default_rng(0), 32)
         seen = np.ones(len(samples.points_m), bool)
 
-        def judge(draw: Callable) -> Decision:
+        def evaluator(draw: Callable) -> Decision:
             values = track_brightness(crops, draw, posing, motion, samples.points_m, samples.normals, samples.spacing_m)
             return decide_appearance("p0", drifting_share(values), LIMIT)
 
-        made = Appearance(settings.temporal, network, seen, judge) if use != "never" else None
+        made = Appearance(settings.temporal, network, seen, evaluator) if use != "never" else None
         start = gaussians_on(samples, 0)
         rng = np.random.default_rng(0)
         kept = settings.losses, settings.rates, settings.limits

@@ -58,7 +58,7 @@ def test_floats_and_bytes_agree_and_repeat() -> None:
 
 
 @needs_package
-def test_a_picture_is_measured_only_where_asked() -> None:
+def test_a_picture_is_measured_only_where_requested() -> None:
     truth = photo()
     shown = np.clip(truth.astype(int) + 9, 0, 255).astype(np.uint8)
     assert measure_picture(shown, truth, {})["flip"] is None

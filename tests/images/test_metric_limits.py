@@ -150,7 +150,7 @@ def test_a_training_depth_that_is_none_sees_nothing(depth: float) -> None:
     assert not truth.is_visible(points, known, camera, np.full_like(real, depth), (0.05,))[0][0].any()
 
 
-def test_v02_the_seen_test_is_relative_to_the_training_depth_and_its_sensitivity_is_told() -> None:
+def test_v02_the_seen_test_is_relative_to_the_training_depth_and_its_sensitivity_is_reported() -> None:
     # 4.77 m against a training depth of 5.02 m: 4.98 % of the training depth, 5.24 % of the other.
     camera = ring([0.0], "c")[0]
     pixels = camera.pixel_centres()[30:50, 50:80]

@@ -51,14 +51,14 @@ def test_pictures_that_do_not_tell_are_left_as_they_are(case: str) -> None:
     assert (light_factors(frames, free) == 1).all()
 
 
-def test_a_picture_that_somebody_fills_is_left_out_and_the_others_are_told() -> None:
+def test_a_picture_that_somebody_fills_is_left_out_and_the_others_are_reported() -> None:
     swing = np.where(np.arange(20)[:, None] % 2 == 0, 0.85, 1.0) * np.ones(3)
     frames, free = filmed(swing)
     free[7] = False
     factors = light_factors(frames, free)
     assert (factors[7] == 1).all()
-    told = np.delete(factors / factors[1], 7, axis=0)
-    np.testing.assert_allclose(told, np.delete(swing / swing[1], 7, axis=0), rtol=0.012)
+    reported = np.delete(factors / factors[1], 7, axis=0)
+    np.testing.assert_allclose(reported, np.delete(swing / swing[1], 7, axis=0), rtol=0.012)
 
 
 def test_arrays_that_do_not_belong_together_are_refused() -> None:

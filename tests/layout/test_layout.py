@@ -147,7 +147,7 @@ def names_in(block: str, directive: str) -> set[str]:
     return names.union(*(SHARED_INPUTS[name] for name in shared))
 
 
-def told_in(line: str, kind: str) -> set[str]:
+def reported_in(line: str, kind: str) -> set[str]:
     """Names of inputs, outputs, params or wildcards that a command line tells of."""
     return set(re.findall(rf"\{{{kind}\.(\w+)", line))
 
@@ -184,11 +184,11 @@ WAITED_FOR = {
 def test_rule_names_exactly_what_its_step_takes(file: str, step: str, block: str) -> None:
     rule, line = re.search(r"(?:rule|checkpoint) (\w+):", block).group(1), command(step)
     unread = FOUND_BY_THE_STEP.get(rule, set()) | WAITED_FOR.get(rule, set())
-    assert names_in(block, "input") - unread == told_in(line, "input")
-    assert names_in(block, "output") - WRITTEN_BESIDE.get(rule, set()) == told_in(line, "output")
-    assert names_in(block, "params") - RUNS_IT_AGAIN.get(rule, set()) == told_in(line, "params") | {"code"}
+    assert names_in(block, "input") - unread == reported_in(line, "input")
+    assert names_in(block, "output") - WRITTEN_BESIDE.get(rule, set()) == reported_in(line, "output")
+    assert names_in(block, "params") - RUNS_IT_AGAIN.get(rule, set()) == reported_in(line, "params") | {"code"}
     declared = "".join(re.findall(r"^ *(?:output|log):.*?(?=^ *\w+:$)", block, re.MULTILINE | re.DOTALL))
-    wildcards = {name for name in told_in(line, "wildcards") if f"{{{name}}}" not in declared}
+    wildcards = {name for name in reported_in(line, "wildcards") if f"{{{name}}}" not in declared}
     assert not wildcards, f"{file}: no output or log of {rule} has {wildcards}"
     assert f'code("{step}")' in block
     for directive in ("log:", "benchmark:", "container:", "resources:", "threads:"):
@@ -278,7 +278,7 @@ def test_steps_without_torch_do_not_import_it() -> None:
                 assert not heavy, f"{module} imports {heavy} at top level"
 
 
-def test_what_trains_on_cuda_is_imported_only_when_it_is_asked_for() -> None:
+def test_what_trains_on_cuda_is_imported_only_when_it_is_requested() -> None:
     for path in MODULES:
         outside = [node for node in tree(path).body if isinstance(node, (ast.Import, ast.ImportFrom))]
         assert not code.imports_of_statements(outside) & ON_REQUEST, (
@@ -307,8 +307,8 @@ def folders_named(text: str, known: frozenset[str] = frozenset()) -> set[str]:
         body = re.search(defined, COMMON if name in constants else ASKED, re.MULTILINE | re.DOTALL)
         if body:
             # What a function says of itself is not what it asks for.
-            asked = re.sub(r'""".*?"""', "", body.group(0), flags=re.DOTALL)
-            found |= folders_named(asked, known | {name})
+            requested = re.sub(r'""".*?"""', "", body.group(0), flags=re.DOTALL)
+            found |= folders_named(requested, known | {name})
     return found
 
 

@@ -67,9 +67,9 @@ def test_rules_ask_for_effects_and_files_that_are_listed() -> None:
     """The plan names them itself: importing the list costs a second at every start."""
     plan = (ROOT / "workflow/studiorecon/plan/rule_files.py").read_text(encoding="utf-8")
     artefacts = {effect.name: effect.artefact.file for effect in EARLY if effect.artefact}
-    asked = re.findall(r'self\.verdict\("(\w+)", wildcards\)(?:.*\n.*"?survey/([\w.]+)"\])?', plan)
-    assert {name for name, _ in asked} <= {effect.name for effect in EARLY}
-    assert {name: file for name, file in asked if file} == artefacts
+    requested = re.findall(r'self\.verdict\("(\w+)", wildcards\)(?:.*\n.*"?survey/([\w.]+)"\])?', plan)
+    assert {name for name, _ in requested} <= {effect.name for effect in EARLY}
+    assert {name: file for name, file in requested if file} == artefacts
 
 
 def test_every_effect_file_is_listed_and_named_after_its_effect() -> None:

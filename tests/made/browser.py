@@ -69,7 +69,7 @@ class Browser:
         os.close(to_write)
         self._waiting, self._number, self._session = b"", 0, ""
         self.logged: list[str] = []
-        self.asked: list[str] = []
+        self.requested: list[str] = []
         target = self.call("Target.createTarget", url="about:blank")["targetId"]
         self._session = self.call("Target.attachToTarget", targetId=target, flatten=True)["sessionId"]
         for domain in ("Runtime", "Log", "Network", "Page"):
@@ -134,15 +134,15 @@ class Browser:
             self._waiting += more
         raw, _, self._waiting = self._waiting.partition(b"\0")
         message = json.loads(raw)
-        told = message.get("params", {})
+        reported = message.get("params", {})
         if message.get("method") == "Runtime.exceptionThrown":
-            self.logged.append(str(told["exceptionDetails"].get("exception", {}).get("description", told)))
+            self.logged.append(str(reported["exceptionDetails"].get("exception", {}).get("description", reported)))
         elif message.get("method") == "Runtime.consoleAPICalled":
-            self.logged.append(" ".join(str(one.get("value", one.get("description"))) for one in told["args"]))
+            self.logged.append(" ".join(str(one.get("value", one.get("description"))) for one in reported["args"]))
         elif message.get("method") == "Log.entryAdded":
-            self.logged.append(f"{told['entry']['text']} {told['entry'].get('url', '')}")
+            self.logged.append(f"{reported['entry']['text']} {reported['entry'].get('url', '')}")
         elif message.get("method") == "Network.requestWillBeSent":
-            self.asked.append(told["request"]["url"])
+            self.requested.append(reported["request"]["url"])
         return message
 
 
@@ -165,9 +165,9 @@ def software_gl(folder: Path, *options: str, size: tuple[int, int] = (480, 300))
     return Browser(folder, *SOFTWARE_GL, *options, size=size)
 
 
-def addresses_outside(asked: Sequence[str]) -> list[str]:
+def addresses_outside(requested: Sequence[str]) -> list[str]:
     """Of the addresses that a page asked for those that are no part of it."""
-    return [one for one in asked if not one.startswith(("file:", "blob:", "data:", "about:"))]
+    return [one for one in requested if not one.startswith(("file:", "blob:", "data:", "about:"))]
 
 
 @contextmanager

@@ -7,7 +7,7 @@ import numpy as np
 from studiorecon.scene.people import Person
 
 
-def fitted_person(name: str, body: str, fps: float, frames: int, **said: np.ndarray) -> Person:
+def fitted_person(name: str, body: str, fps: float, frames: int, **messages: np.ndarray) -> Person:
     """What is not ``said`` is 0, and every frame is valid."""
     usual = {
         "poses": np.zeros((frames, 72)),
@@ -17,4 +17,4 @@ def fitted_person(name: str, body: str, fps: float, frames: int, **said: np.ndar
         "valid": np.ones(frames, bool),
         "sigma": np.zeros((frames, 24)),
     }
-    return Person(name, body, fps, **usual | said, metric=True)
+    return Person(name, body, fps, **usual | messages, metric=True)

@@ -22,7 +22,7 @@ class Hub:
 
     files: dict[tuple[str, str], bytes]
     breaks_at: int | None = None
-    asked: list[tuple[str, str, str]] = field(default_factory=list)
+    requested: list[tuple[str, str, str]] = field(default_factory=list)
     address: str = ""
 
 
@@ -63,7 +63,7 @@ def serving(hub: Hub) -> Iterator[Hub]:
             self.end_headers()
             if self.command == "HEAD":
                 return
-            hub.asked.append((name, commit, self.headers.get("Range", "")))
+            hub.requested.append((name, commit, self.headers.get("Range", "")))
             self.wfile.write(part[: hub.breaks_at])
             if hub.breaks_at is not None and len(part) > hub.breaks_at:
                 self.close_connection = True

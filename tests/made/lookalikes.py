@@ -86,19 +86,19 @@ def looked_at(
     still: Sequence[Mesh],
     folder: Path,
     root: Path,
-    changed: Callable[[Actors], None] = lambda troupe: None,
+    changed: Callable[[Actors], None] = lambda cast: None,
 ) -> Looked:
     """Film the play, ``changed``, with ``still`` and moving ``extra`` things (frame → solids) in the room, detect and
     associate."""
     about = described(people)
     cameras = rig.cameras(about)
     lenses = rig.true_lenses(about, cameras)
-    troupe = Actors(about, BodyModel.load(RESOURCES / "body.npz"), np.arange(about.frames) / about.fps)
-    changed(troupe)
+    cast = Actors(about, BodyModel.load(RESOURCES / "body.npz"), np.arange(about.frames) / about.fps)
+    changed(cast)
     files = [root / "resources/detector" / name for name in ("movenet_multipose.onnx", "pose_landmark_full.onnx")]
     detector, found, witnesses, videos = DetectorFiles(files).detector(), [], [], []
     for camera, lens in zip(cameras, lenses):
-        pictures = filmed(about, lens, troupe, extra, still)
+        pictures = filmed(about, lens, cast, extra, still)
         videos.append(folder / f"{camera.name}.mkv")
         write_lossless(videos[-1], pictures, FPS)
         rows = [
@@ -124,7 +124,7 @@ def looked_at(
     options = loaded(associate.Settings)
     limits = options.association, options.triangulation
     table, _, left = identities_from_keypoints(*limits, cameras, found, videos, about.frames, FPS, witnesses)
-    true_m = np.stack([troupe.body.joints(a.poses, a.betas, a.trans_m) for a in troupe.actors]) if people else None
+    true_m = np.stack([cast.body.joints(a.poses, a.betas, a.trans_m) for a in cast.actors]) if people else None
     return Looked(found, table, left, owners_of(found, cameras, true_m))
 
 
@@ -148,30 +148,30 @@ def owners_of(found: Sequence[Detections], cameras: Sequence[Camera], true_m: np
     return owners
 
 
-def filmed(about: Description, lens: Lens, troupe: Actors, extra: Extra, still: Sequence[Mesh]) -> list[np.ndarray]:
+def filmed(about: Description, lens: Lens, cast: Actors, extra: Extra, still: Sequence[Mesh]) -> list[np.ndarray]:
     """(H, W, 3) uint8 pictures of one camera."""
     solids = [*build_room(about.seed, 0.0), *still]
-    scene, soles = trace_backdrop(lens, solids, about.supersampling), troupe.soles_m()
+    scene, soles = trace_backdrop(lens, solids, about.supersampling), cast.soles_m()
     pictures = []
     for t in range(about.frames):
-        moving = [*troupe.at(t)[0], *extra(t)]
+        moving = [*cast.at(t)[0], *extra(t)]
         touched = touched_pixels(lens, moving)
         light = render_frame(scene, Tracer(solids + moving), moving, touched, soles[t], about.effects)
         pictures.append(develop(light, Sensor.perfect(), t))
     return pictures
 
 
-def keeping_still(troupe: Actors) -> None:
+def keeping_still(cast: Actors) -> None:
     """The second of the play stands as at its beginning, all the time."""
-    actor, count = troupe.actors[1], len(troupe.times_s)
+    actor, count = cast.actors[1], len(cast.times_s)
     poses, places = np.repeat(actor.poses[:1], count, axis=0), np.repeat(actor.trans_m[:1], count, axis=0)
-    troupe.actors[1] = replace(actor, poses=poses, trans_m=places)
+    cast.actors[1] = replace(actor, poses=poses, trans_m=places)
 
 
-def sitting(troupe: Actors) -> None:
+def sitting(cast: Actors) -> None:
     """The second of the play sits on a ``stool``, and breathes at most."""
-    keeping_still(troupe)
-    actor = troupe.actors[1]
+    keeping_still(cast)
+    actor = cast.actors[1]
     local = exp(actor.poses.reshape(-1, 24, 3))
     c, s = np.cos(FACING_RAD), np.sin(FACING_RAD)
     local[:, 0] = np.array([[-s, 0, c], [c, 0, s], [0, 1, 0]])
@@ -181,15 +181,15 @@ def sitting(troupe: Actors) -> None:
         )
     seat = np.array([*SEAT_M[:2], SEAT_M[2] + 0.09])
     poses = log(local).reshape(len(local), 72)
-    troupe.actors[1] = replace(actor, poses=poses, trans_m=np.repeat(seat[None], len(local), axis=0))
+    cast.actors[1] = replace(actor, poses=poses, trans_m=np.repeat(seat[None], len(local), axis=0))
 
 
 def portrait(number: int, time_s: float) -> np.ndarray:
     """(600, 400, 3) linear light: a picture of somebody of the play, head to foot, from the front."""
     about = replace(described(number + 1), frames=1)
-    troupe = Actors(about, BodyModel.load(RESOURCES / "body.npz"), np.array([time_s]))
-    actor = replace(troupe.actors[number], number=0)
-    troupe.actors = [actor]
+    cast = Actors(about, BodyModel.load(RESOURCES / "body.npz"), np.array([time_s]))
+    actor = replace(cast.actors[number], number=0)
+    cast.actors = [actor]
     root = exp(actor.poses[0, :3])
     forward = (root @ [0, 0, 1.0]) * [1, 1, 0]
     forward /= np.linalg.norm(forward)
@@ -203,9 +203,9 @@ def portrait(number: int, time_s: float) -> np.ndarray:
     lens = Lens("portrait", size, intrinsics, "opencv", np.zeros(5), pose, np.eye(2, 3))
     solids = build_room(about.seed, 0.0)
     scene = trace_backdrop(lens, solids, 1)
-    moving = troupe.at(0)[0]
+    moving = cast.at(0)[0]
     return render_frame(
-        scene, Tracer(solids + moving), moving, touched_pixels(lens, moving), troupe.soles_m()[0], about.effects
+        scene, Tracer(solids + moving), moving, touched_pixels(lens, moving), cast.soles_m()[0], about.effects
     )
 
 

@@ -78,8 +78,8 @@ def _lens(k: int) -> dict[str, Any]:
 
 def _footage(k: int) -> Footage:
     k3 = _camera(k).intrinsics.tolist()
-    told = ("videos/cam.mp4", "0" * 64, (96, 54), 0, 0.1 * (k + 1), ["cut"], (3, 4, 5, 7))
-    return Footage(f"cam{k + 1}", False, WH, k3, 30.0, T, 3, *told)
+    reported = ("videos/cam.mp4", "0" * 64, (96, 54), 0, 0.1 * (k + 1), ["cut"], (3, 4, 5, 7))
+    return Footage(f"cam{k + 1}", False, WH, k3, 30.0, T, 3, *reported)
 
 
 def _rng(k: int) -> np.random.Generator:

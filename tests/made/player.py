@@ -125,10 +125,10 @@ def write_page(
 ) -> Path:
     """The scene's player as a file; ``videos``: what its cameras filmed."""
     held = Bytes()
-    told, sentences = describe_scene(scene, held, exposure, shade)
-    sentences += add_footage(held, told["cameras"], videos, scene.capture.frames, scene.capture.fps)
+    reported, sentences = describe_scene(scene, held, exposure, shade)
+    sentences += add_footage(held, reported["cameras"], videos, scene.capture.frames, scene.capture.fps)
     poster = jpeg(render_poster(scene), QUALITY)
-    write_text(path, build_page(scene.name, told | {"notes": sentences}, held, poster, PARTS))
+    write_text(path, build_page(scene.name, reported | {"notes": sentences}, held, poster, PARTS))
     return path
 
 

@@ -58,7 +58,7 @@ class Recorder:
         return self.start_s + own_s * (1 + 1e-6 * self.drift_ppm)
 
 
-def heard(recorder: Recorder, world: np.ndarray, seconds: float, seed: int = 0) -> np.ndarray:
+def received(recorder: Recorder, world: np.ndarray, seconds: float, seed: int = 0) -> np.ndarray:
     """(N,) samples that a recorder takes of the world's sound."""
     rng = np.random.default_rng([seed, len(recorder.name), *recorder.name.encode()])
     if recorder.echo:
@@ -108,7 +108,7 @@ def record(
         video.codec_context.time_base = Fraction(1, 90000)
         if not recorder.deaf:
             audio = container.add_stream(recorder.codec, rate=RATE_HZ, layout="mono")
-            samples = heard(recorder, world, seconds)
+            samples = received(recorder, world, seconds)
             step = 1024
             for begin in range(0, len(samples), step):
                 piece = av.AudioFrame.from_ndarray(samples[None, begin : begin + step], format="fltp", layout="mono")

@@ -114,7 +114,7 @@ def reported(
 def made_capture(
     seed: int,
     k1: float,
-    alike: bool = True,
+    similar: bool = True,
     views: int = 4,
     people: int = 1,
     seconds: float = 25.0,
@@ -130,9 +130,9 @@ def made_capture(
     rng = np.random.default_rng([seed, 54])
     wh, frames = (1280, 720), int(seconds * fps)
     angles = 2 * np.pi * around * (np.arange(views) / views) + rng.uniform(-0.3, 0.3, views)
-    hfov_deg = rng.uniform(60, 90) if alike else rng.uniform(60, 90, views)
+    hfov_deg = rng.uniform(60, 90) if similar else rng.uniform(60, 90, views)
     focal = np.broadcast_to(wh[0] / 2 / np.tan(np.radians(hfov_deg) / 2), views) * np.exp(rng.normal(0, 0.005, views))
-    radial = k1 + rng.normal(0, 0.005 if alike else 0.06, views)
+    radial = k1 + rng.normal(0, 0.005 if similar else 0.06, views)
     cameras = []
     for v, angle in enumerate(angles):
         # From further away with a longer lens: the people stay in the picture.

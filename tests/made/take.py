@@ -42,11 +42,11 @@ def made_take(
         described, frames=frames, size=(1280, 704), people=people, cameras=replace(described.cameras, held_out=0)
     )
     times_s = np.arange(frames) / described.fps
-    troupe = Actors(described, BodyModel.load(RESOURCES / "body.npz"), 0 * times_s if still else times_s)
-    points_m = troupe.keypoints_m(LAYOUTS[LAYOUT].keypoints)
+    cast = Actors(described, BodyModel.load(RESOURCES / "body.npz"), 0 * times_s if still else times_s)
+    points_m = cast.keypoints_m(LAYOUTS[LAYOUT].keypoints)
     cameras, solids = rig.cameras(described), build_room(described.seed, 0.0)
     tracers = [
-        Tracer(solids + troupe.at(t)[0] if occluded else []) for t in range(frames if occluded and not still else 1)
+        Tracer(solids + cast.at(t)[0] if occluded else []) for t in range(frames if occluded and not still else 1)
     ]
     found = []
     for v, (camera, lens) in enumerate(zip(cameras, rig.true_lenses(described, cameras))):

@@ -37,14 +37,14 @@ def test_a_person_may_be_several_numbers_in_turn_and_strangers_stay_strangers() 
         labels[t][body(4) > 0] = 3 if t < 2 else 9
         labels[t, 3:27, 19:27] = 5
         labels[t, 2:8, 34:38] = 7
-    found, told = assign_people(labels, depths, 2)
+    found, reported = assign_people(labels, depths, 2)
     masks = np.stack(list(found))
     # Naive, one number to one person: from the third frame on p0 is nobody.
     assert (masks[:, 10, 6] == 1).all()
     assert (masks[:, 10, 22] == 2).all()
     assert (masks[:, 4, 35] == UNASSIGNED).all()
     assert masks[:, 3:27, 19:27].all(), "what a person wears beyond the body is theirs"
-    assert "3 = p0, 5 = p1, 9 = p0; 1 overlap no fitted person" in told
+    assert "3 = p0, 5 = p1, 9 = p0; 1 overlap no fitted person" in reported
 
 
 @pytest.mark.parametrize(

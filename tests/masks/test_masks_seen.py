@@ -44,12 +44,12 @@ def scene() -> DetectorMasks:
 
 
 def test_a_mask_speaks_where_it_was_looked_and_nowhere_else() -> None:
-    said = scene().evidence(1, ["p0"])
+    messages = scene().evidence(1, ["p0"])
     # Footage 80..112 is p0, 112..144 is not; half of that on the working picture.
-    assert (said[25:45, 42:54] == 1.5).all()
-    assert (said[25:45, 58:70] == -1.5).all()
-    assert (said[25:45, 75:] == 0).all()
-    assert (said[:15] == 0).all()
+    assert (messages[25:45, 42:54] == 1.5).all()
+    assert (messages[25:45, 58:70] == -1.5).all()
+    assert (messages[25:45, 75:] == 0).all()
+    assert (messages[:15] == 0).all()
 
 
 def test_a_person_beside_another_is_not_denied_by_the_others_mask() -> None:

@@ -67,17 +67,17 @@ def test_the_network_is_given_the_cameras_own_intrinsics() -> None:
     torch = pytest.importorskip("torch", reason="torch is not installed")
     camera = room_views((192, 108))[0][0]
     planted = slots([1, 0])
-    asked = []
+    requested = []
 
     def network(picture: object, intrinsics: object) -> tuple[dict, SimpleNamespace]:
-        asked.append((tuple(picture.shape), picture.dtype, intrinsics.numpy()))
+        requested.append((tuple(picture.shape), picture.dtype, intrinsics.numpy()))
         state = {name: torch.from_numpy(values)[None] for name, values in planted.items()}
         state["id"] = state["id"][..., None]
         detections = {"pred_2d": torch.from_numpy(planted["pred_2d"][:1])[None], "conf": torch.full((1, 1, 1), 3.0)}
         return detections, SimpleNamespace(**state)
 
     found = postprocess(*estimate_frame(network, *preprocess(np.zeros((108, 192, 3), np.uint8), camera.intrinsics)))
-    shape, kind, intrinsics = asked[0]
+    shape, kind, intrinsics = requested[0]
     assert shape == (3, 108, 192)
     assert kind == torch.uint8
     # Naive, as upstream's command line: a focal length of twice the longer side, and every depth with it.

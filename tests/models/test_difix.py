@@ -46,19 +46,19 @@ def test_bytes_and_floats_are_one_picture() -> None:
         as_float(np.zeros((4, 5)))
 
 
-def test_the_pipeline_is_asked_for_one_reproducible_step() -> None:
+def test_the_pipeline_runs_one_reproducible_step() -> None:
     torch = pytest.importorskip("torch", reason="torch is not installed")
-    asked = []
+    requested = []
 
     def pipeline(prompt: str, **given: object) -> SimpleNamespace:
-        asked.append((prompt, given))
+        requested.append((prompt, given))
         noise = torch.rand(given["image"].shape, generator=given["generator"])
         return SimpleNamespace(images=given["image"] + noise)
 
     tensor, photo = preprocess(picture((30, 40)), picture((30, 40)))
     first, second = (denoise(pipeline, tensor, photo, 3, "cpu") for _ in range(2))
     np.testing.assert_array_equal(first, second)
-    prompt, given = asked[0]
+    prompt, given = requested[0]
     assert prompt == PROMPT
     assert given["timesteps"] == [STEP] == [199]
     assert (given["num_inference_steps"], given["guidance_scale"], given["output_type"]) == (1, 0.0, "pt")
@@ -67,16 +67,16 @@ def test_the_pipeline_is_asked_for_one_reproducible_step() -> None:
 
 def test_difix_runs_on_a_gpu_in_a_range_that_does_not_overflow(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     torch = pytest.importorskip("torch", reason="torch is not installed")
-    asked = {}
+    requested = {}
 
     class Pipeline:
         @staticmethod
         def from_pretrained(folder: str, **given: object) -> Pipeline:
-            asked.update(given)
+            requested.update(given)
             return Pipeline()
 
         def to(self, where: object) -> None:
-            asked["where"] = where
+            requested["where"] = where
 
         def set_progress_bar_config(self, disable: bool) -> None: ...
 
@@ -89,8 +89,8 @@ def test_difix_runs_on_a_gpu_in_a_range_that_does_not_overflow(tmp_path: Path, m
         (tmp_path / file.path).touch()
     difix.Difix(difix.CARD, tmp_path, "cuda", 0)
     # float16 ends at 65504, which activations of the decoder pass: the picture is black.
-    assert asked["torch_dtype"] is torch.bfloat16
-    assert (asked["local_files_only"], asked["where"].type) == (True, "cuda")
+    assert requested["torch_dtype"] is torch.bfloat16
+    assert (requested["local_files_only"], requested["where"].type) == (True, "cuda")
 
 
 @pytest.mark.parametrize("hw", [(176, 320), (90, 160), (720, 400)])

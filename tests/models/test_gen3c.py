@@ -124,7 +124,7 @@ def test_the_key_frame_the_path_starts_at_comes_first(small: None) -> None:
 
 
 @pytest.mark.parametrize("length", [1, 120, 122, 240])
-def test_only_120_n_plus_1_frames_are_asked_for(small: None, length: int) -> None:
+def test_only_120_n_plus_1_frames_are_requested(small: None, length: int) -> None:
     frames = key_frames()
     with pytest.raises(UserError, match="121, 241, 361"):
         preprocess(frames, [frames[0].camera] * length)
@@ -245,10 +245,10 @@ def test_a_film_without_content_or_of_another_size_is_refused(small: None) -> No
 def test_without_offload_the_gpu_must_hold_everything(
     offload: bool, wanted: float | None, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    asked = []
+    requested = []
 
     def device(card: Card, where: str, lower: str, needed: float | None) -> None:
-        asked.append(needed)
+        requested.append(needed)
         raise UserError("no GPU here")
 
     for name in ("staged_weights", "import_upstream", "attribute"):
@@ -257,7 +257,7 @@ def test_without_offload_the_gpu_must_hold_everything(
     how = {"steps": 1, "guidance": 1.0, "seed": 0, "filter_points_threshold": 0.05, "foreground_masking": True}
     with pytest.raises(UserError, match="no GPU here"):
         gen3c.Gen3c(gen3c.CARD, tmp_path, "cuda", offload=offload, **how)
-    assert asked == [wanted]
+    assert requested == [wanted]
 
 
 @pytest.mark.weights

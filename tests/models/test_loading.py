@@ -63,10 +63,10 @@ def test_an_adapter_has_what_its_protocol_asks(name: str) -> None:
     assert list(inspect.signature(made_by).parameters)[:3] == ["card", "weights", "where"]
     for member in protocol.__annotations__:
         assert hasattr(made_by, member)
-    for member, asked in inspect.getmembers(protocol, inspect.isfunction):
+    for member, requested in inspect.getmembers(protocol, inspect.isfunction):
         if not member.startswith("_"):
             answers = getattr(made_by, member)
-            assert list(inspect.signature(answers).parameters) == list(inspect.signature(asked).parameters)
+            assert list(inspect.signature(answers).parameters) == list(inspect.signature(requested).parameters)
 
 
 def test_a_network_of_another_kind_or_name_is_not_loaded(tmp_path: Path) -> None:
@@ -126,6 +126,6 @@ def test_stages_know_kinds_and_not_adapters() -> None:
 
 def test_cards_are_read_without_anything_heavy() -> None:
     heavy = {"torch", "torchvision", "cv2", "numba", "scipy", "kornia"}
-    asked = f"import sys, studiorecon.models.choices; print(*({heavy!r} & set(sys.modules)))"
-    done = subprocess.run([sys.executable, "-c", asked], capture_output=True, text=True, check=True)
+    requested = f"import sys, studiorecon.models.choices; print(*({heavy!r} & set(sys.modules)))"
+    done = subprocess.run([sys.executable, "-c", requested], capture_output=True, text=True, check=True)
     assert done.stdout.split() == []

@@ -40,13 +40,13 @@ def test_confidence_is_a_probability_below_a_half_too(monkeypatch: pytest.Monkey
     monkeypatch.setitem(sys.modules, "mapanything.utils", ModuleType("mapanything.utils"))
     monkeypatch.setitem(sys.modules, "mapanything.utils.image", image)
     logits = torch.tensor([[-4.0, 0.0, 3.0]])
-    said = {
+    messages = {
         "pts3d_cam": torch.ones(1, 1, 3, 3),
         "conf": (1 + torch.exp(logits))[None],
         "non_ambiguous_mask": torch.tensor([[[True, True, False]]]),
         "camera_poses": torch.eye(4)[None],
     }
-    network = SimpleNamespace(infer=lambda *_, **__: [said])
+    network = SimpleNamespace(infer=lambda *_, **__: [messages])
     _, sure, _ = infer(network, np.zeros((1, 3, 1, 3), np.float32), "cpu")
     # Naive, c / (1 + c): never below a half, so that nothing is ever left out.
     np.testing.assert_allclose(sure[0], [[1 / (1 + np.exp(4)), 0.5, 0]], atol=1e-6)

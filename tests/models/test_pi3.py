@@ -167,10 +167,10 @@ def test_what_cannot_be_is_refused() -> None:
 
 def test_the_call_hands_on_points_probabilities_and_poses() -> None:
     torch = pytest.importorskip("torch", reason="torch is not installed")
-    asked = []
+    requested = []
 
     def network(pictures: object) -> dict[str, object]:
-        asked.append(tuple(pictures.shape))
+        requested.append(tuple(pictures.shape))
         return {
             "local_points": torch.ones(1, 2, 14, 28, 3),
             "conf": torch.zeros(1, 2, 14, 28, 1),
@@ -178,7 +178,7 @@ def test_the_call_hands_on_points_probabilities_and_poses() -> None:
         }
 
     points, sure, poses = infer(network, np.zeros((2, 3, 14, 28), np.float32), "cpu")
-    assert asked == [(1, 2, 3, 14, 28)]
+    assert requested == [(1, 2, 3, 14, 28)]
     assert (points.shape, sure.shape, poses.shape) == ((2, 14, 28, 3), (2, 14, 28), (2, 4, 4))
     assert (sure == 0.5).all()
 
@@ -236,9 +236,9 @@ def test_upstreams_network_with_random_weights_keeps_its_contract(
     if name == "pi3x":
         # Everything in its metres: the points in the world are the cameras' own through their poses.
         with torch.inference_mode():
-            told = adapter._network(torch.from_numpy(pictures)[None])
+            reported = adapter._network(torch.from_numpy(pictures)[None])
         world = np.einsum("nij,nhwj->nhwi", poses[:, :3, :3], points) + poses[:, None, None, :3, 3]
-        np.testing.assert_allclose(world, told["points"][0].numpy(), rtol=1e-3, atol=1e-3)
+        np.testing.assert_allclose(world, reported["points"][0].numpy(), rtol=1e-3, atol=1e-3)
         found = postprocess(points, np.ones_like(sure), poses, [Inset(0, 0, 56, 70)] * 3, ["a", "b", "c"], True)
         np.testing.assert_allclose(found.cameras[0].camera_from_world, np.eye(4), atol=1e-6)
         assert all(camera.wh == (70, 56) for camera in found.cameras)

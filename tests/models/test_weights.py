@@ -30,12 +30,12 @@ class Hub(ModuleType):
 
     def __init__(self, shelf: dict[str, bytes], stated: str | None = None) -> None:
         super().__init__("huggingface_hub")
-        self.shelf, self.stated, self.asked = shelf, stated, []
+        self.shelf, self.stated, self.requested = shelf, stated, []
 
     def hf_hub_download(self, repository: str, name: str, revision: str, local_dir: str) -> str:
         assert len(revision) == 40
         assert not any(os.environ.get(v) == "1" for v in OFFLINE), "the hub's client would refuse"
-        self.asked.append((repository, name))
+        self.requested.append((repository, name))
         if name not in self.shelf:
             raise OSError("401 Client Error: gated\nmore")
         path = Path(local_dir) / name
@@ -73,13 +73,13 @@ def test_what_may_be_fetched_is_fetched_verified_and_pinned(
     monkeypatch.setitem(sys.modules, "huggingface_hub", hub)
     weights.run(["fixer"], tmp_path, "no")
     assert "MISSING" in capsys.readouterr().out
-    assert not hub.asked, "a listing fetches nothing"
+    assert not hub.requested, "a listing fetches nothing"
     weights.run(["fixer"], tmp_path, "yes")
     file = tmp_path / "fixer/base/tokenizer_fast.pth"
     assert file.read_bytes() == b"fixer"
     assert read_pins(tmp_path)["fixer/base/tokenizer_fast.pth"]["sha256"] == hashlib.sha256(b"fixer").hexdigest()
     weights.run(["fixer"], tmp_path, "yes")
-    assert len(hub.asked) == len(hub.shelf)
+    assert len(hub.requested) == len(hub.shelf)
     assert staged_weights(MODELS["fixer"], tmp_path) == tmp_path
     file.write_bytes(b"faked")
     with pytest.raises(UserError, match=r"has SHA-256 .*delete it and get it again"):
@@ -115,10 +115,10 @@ def test_no_room_is_known_before_anything_is_fetched(tmp_path: Path, monkeypatch
     monkeypatch.setitem(sys.modules, "huggingface_hub", hub)
     with pytest.raises(UserError, match=r"has 3\.83 GB and .* has room for 1\.0; make room"):
         fetch(MODELS["pi3"].weights[0], tmp_path)
-    assert not hub.asked
+    assert not hub.requested
 
 
-def test_a_run_is_told_to_make_arrays_of_checkpoints_and_nothing_else(
+def test_a_run_is_asked_to_make_arrays_of_checkpoints_and_nothing_else(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     torch = pytest.importorskip("torch", reason="torch is not installed")

@@ -48,14 +48,14 @@ def weights(hub: Hub, name: str, folder: Path, before: Callable[[], None] | None
 @pytest.mark.timeout(300)
 def test_files_come_at_the_cards_commit_and_once(tmp_path: Path) -> None:
     with serving(Hub(content_of("fixer"))) as hub:
-        status, said = weights(hub, "fixer", tmp_path)
-        assert status == 0, said
-        assert said.count("VERIFIED") == len(MODELS["fixer"].weights) == len(hub.asked)
-        assert {commit for _, commit, _ in hub.asked} == {MODELS["fixer"].weights[0].revision}
+        status, messages = weights(hub, "fixer", tmp_path)
+        assert status == 0, messages
+        assert messages.count("VERIFIED") == len(MODELS["fixer"].weights) == len(hub.requested)
+        assert {commit for _, commit, _ in hub.requested} == {MODELS["fixer"].weights[0].revision}
         for file in MODELS["fixer"].weights:
             assert (tmp_path / "weights" / file.path).read_bytes() == hub.files[file.repository, file.remote]
         weights(hub, "fixer", tmp_path)
-        assert len(hub.asked) == len(MODELS["fixer"].weights), "what is there is not fetched again"
+        assert len(hub.requested) == len(MODELS["fixer"].weights), "what is there is not fetched again"
 
 
 @pytest.mark.timeout(300)
@@ -65,13 +65,13 @@ def test_what_was_broken_off_goes_on_where_it_stopped(tmp_path: Path) -> None:
     large = {(wanted[0].repository, wanted[0].remote): np.random.default_rng(4).bytes(25_000_000)}
     with serving(Hub(content_of("fixer") | large)) as hub:
         hub.breaks_at = 12_000_000
-        status, said = weights(hub, "fixer", tmp_path)
+        status, messages = weights(hub, "fixer", tmp_path)
         hub.breaks_at = None
         if status:
-            assert "could not be fetched" in said
-            status, said = weights(hub, "fixer", tmp_path)
-        assert status == 0, said
-        resumed = [given for _, _, given in hub.asked if given]
+            assert "could not be fetched" in messages
+            status, messages = weights(hub, "fixer", tmp_path)
+        assert status == 0, messages
+        resumed = [given for _, _, given in hub.requested if given]
         assert resumed, "every try began anew"
         assert int(resumed[0].removeprefix("bytes=").partition("-")[0]) >= 10_000_000
         for file in wanted:
@@ -97,7 +97,7 @@ def mirrored(hub: Hub, archive: bytes, inner: bytes, hosts: tuple[str, ...]) -> 
     )
 
 
-def test_the_second_mirror_is_asked_and_goes_on_where_it_broke_off(
+def test_the_second_mirror_is_used_and_goes_on_where_it_broke_off(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     inner = np.random.default_rng(5).bytes(300_000)
@@ -108,10 +108,10 @@ def test_the_second_mirror_is_asked_and_goes_on_where_it_broke_off(
         with pytest.raises(UserError, match=r"net/points\.onnx could not be fetched from two hosts"):
             fetch(file, tmp_path)
         assert not (tmp_path / file.path).exists()
-        hub.breaks_at, hub.asked = None, []
+        hub.breaks_at, hub.requested = None, []
         pins: dict = {}
         assert stage_file(file, tmp_path, pins, may_fetch=True) == "verified"
-        assert hub.asked == [("points.zip", "main", "bytes=100000-")]
+        assert hub.requested == [("points.zip", "main", "bytes=100000-")]
     assert (tmp_path / file.path).read_bytes() == inner
     assert pins[file.path]["sha256"] == file.sha256
     assert [path.name for path in (tmp_path / "net").iterdir()] == ["points.onnx"]
@@ -121,7 +121,7 @@ def test_the_second_mirror_is_asked_and_goes_on_where_it_broke_off(
 def test_a_mirror_with_other_bytes_is_refused(tmp_path: Path) -> None:
     with serving(Hub({})) as hub:
         file = mirrored(hub, archived(b"other", "a/end2end.onnx"), b"the right one", ("second",))
-        assert "expected" in (said := stage_file(file, tmp_path, {}, may_fetch=True)), said
+        assert "expected" in (messages := stage_file(file, tmp_path, {}, may_fetch=True)), messages
         (tmp_path / file.path).unlink()
         two = mirrored(hub, archived(b"x", "a/end2end.onnx", "b/end2end.onnx"), b"x", ("second",))
         assert "has 2 files end2end.onnx, expected one" in stage_file(two, tmp_path, {}, may_fetch=True)

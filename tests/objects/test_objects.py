@@ -90,7 +90,7 @@ def test_a_thrown_ball_is_followed_to_the_centimetre(thrown: RigidObject) -> Non
     assert thrown.radius_m == pytest.approx(RADIUS_M, rel=0.1)
 
 
-def test_a_thrown_ball_looks_like_itself_from_where_no_camera_stood(thrown: RigidObject) -> None:
+def test_a_thrown_ball_looks_like_itself_from_where_no_camera_was(thrown: RigidObject) -> None:
     frame = 9
     truth = drawn(UNSEEN, [Ball(bouncing())], frame).astype(float) / 255
     empty = plate_of(UNSEEN)
@@ -110,8 +110,8 @@ def test_nothing_is_found_where_nothing_is(settings: Settings, capsys: pytest.Ca
 
 def test_what_one_camera_sees_has_no_place(settings: Settings, capsys: pytest.CaptureFixture) -> None:
     assert found(settings, [Ball(bouncing())], showing=("c1",)) == []
-    assert "c1: in" in (told := capsys.readouterr().out)
-    assert "no second camera confirms" in told
+    assert "c1: in" in (reported := capsys.readouterr().out)
+    assert "no second camera confirms" in reported
 
 
 def test_a_thing_that_stands_still_belongs_on_the_plate(settings: Settings, capsys: pytest.CaptureFixture) -> None:

@@ -63,8 +63,8 @@ def test_a_step_names_inputs_that_changed(case: str, run_folder: Path, capsys: p
     change, named = CHANGES[case]
     change()
     run_manifest()
-    said = capsys.readouterr().out
-    assert [path for path in CAMERAS if f"warning: {path} changed after capture.frames" in said] == named
+    messages = capsys.readouterr().out
+    assert [path for path in CAMERAS if f"warning: {path} changed after capture.frames" in messages] == named
 
 
 def test_what_a_step_writes_is_recorded(run_folder: Path) -> None:

@@ -64,10 +64,10 @@ def test_a_fault_of_a_step_names_place_and_file_and_keeps_its_trace(
     words = ["detect.chapters", "--camera", "a", "--films", str(film), "--joined", str(tmp_path / "x")]
     log = tmp_path / "step.log"
     assert steps.main([*words, "--log", str(log)]) == 1
-    said = capsys.readouterr().err
+    messages = capsys.readouterr().err
     for part in ("fault of the program", "KeyError", "detect/chapters.py, line", str(film), "report", str(log)):
-        assert part in said
-    assert "Traceback" not in said
+        assert part in messages
+    assert "Traceback" not in messages
     assert "Traceback" in log.read_text()
 
 
@@ -77,10 +77,10 @@ def test_a_fault_of_the_command_is_a_sentence_too(
     monkeypatch.chdir(tmp_path)
     monkeypatch.setattr(command, "finished_scene", lambda folder: 1 / 0)
     assert command.main(["view", "demo", "--no-browser"]) == 1
-    said = capsys.readouterr().err
-    assert "ZeroDivisionError" in said
-    assert str(FAULTS) in said
-    assert "Traceback" not in said
+    messages = capsys.readouterr().err
+    assert "ZeroDivisionError" in messages
+    assert str(FAULTS) in messages
+    assert "Traceback" not in messages
     assert "Traceback" in (tmp_path / FAULTS).read_text()
 
 
@@ -104,10 +104,10 @@ def test_names_that_lead_nowhere_are_refused(
     monkeypatch.chdir(tmp_path)
     Path("loop").symlink_to("loop")
     assert command.main([word[0], folder, *word[1:]]) == 1
-    said = capsys.readouterr().err
-    assert said.startswith("studiorecon: ")
-    assert "fault of the program" not in said
-    assert len(said) < 1000
+    messages = capsys.readouterr().err
+    assert messages.startswith("studiorecon: ")
+    assert "fault of the program" not in messages
+    assert len(messages) < 1000
 
 
 @pytest.mark.parametrize("cores", ["0", "-1", "many", ""])

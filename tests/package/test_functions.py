@@ -37,6 +37,6 @@ def test_examples_of_docstrings_run(name: str, tmp_path: Path) -> None:
     }
     (example,) = doctest.DocTestFinder(recurse=False).find(getattr(studiorecon, name), name, globs=given)
     assert example.examples, "a docstring without an example shows nothing"
-    told: list[str] = []
-    ran = doctest.DocTestRunner(optionflags=doctest.NORMALIZE_WHITESPACE).run(example, out=told.append)
-    assert not ran.failed, "".join(told)
+    reported: list[str] = []
+    ran = doctest.DocTestRunner(optionflags=doctest.NORMALIZE_WHITESPACE).run(example, out=reported.append)
+    assert not ran.failed, "".join(reported)

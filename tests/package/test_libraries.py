@@ -93,10 +93,10 @@ def test_a_library_that_is_loaded_on_the_way_is_named_with_its_extra(
     monkeypatch.delitem(sys.modules, library, raising=False)
     step = types.SimpleNamespace(run=lambda: importlib.import_module(library))
     assert _run(step, "deliver.room", {"settings": "{}"}, log=None) == 1
-    told = capsys.readouterr().err
-    assert told.startswith(f"deliver.room: the library {library} cannot be loaded (")
-    assert f"uv sync --inexact --extra {extra}" in told
-    assert len(told.splitlines()) == 1
+    reported = capsys.readouterr().err
+    assert reported.startswith(f"deliver.room: the library {library} cannot be loaded (")
+    assert f"uv sync --inexact --extra {extra}" in reported
+    assert len(reported.splitlines()) == 1
 
 
 def test_a_file_that_is_not_there_is_no_library(tmp_path: Path) -> None:

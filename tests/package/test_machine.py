@@ -37,10 +37,10 @@ def test_what_the_system_refuses_is_said_with_the_file(number: int, says: str) -
     assert sentence.endswith(("finished results are kept", "name another one"))
 
 
-def test_memory_that_is_missing_is_known_from_whoever_asked_for_it() -> None:
-    with pytest.raises(MemoryError) as asked:
+def test_memory_that_is_missing_is_known_from_the_error() -> None:
+    with pytest.raises(MemoryError) as requested:
         np.zeros(2**60, np.uint8)
-    assert "there is not enough memory (Unable to allocate 1.00 EiB" in str(describe_resource_error(asked.value))
+    assert "there is not enough memory (Unable to allocate 1.00 EiB" in str(describe_resource_error(requested.value))
     with pytest.raises(cv2.error) as asked_by_opencv:
         cv2.copyMakeBorder(np.zeros((1, 1, 3), np.float64), 2**30, 2**30, 2**30, 2**30, cv2.BORDER_REPLICATE)
     assert is_memory_error(asked_by_opencv.value) == (asked_by_opencv.value.code == -4)
@@ -76,7 +76,7 @@ def test_compiled_files_that_a_full_disk_cut_short_are_named(tmp_path: Path) -> 
 
 
 def test_a_step_whose_memory_is_limited_says_that_this_may_be_why() -> None:
-    for limit, said in ((2**28, "this process may use 268 MB of memory (ulimit -v)"), (2**44, "None")):
+    for limit, messages in ((2**28, "this process may use 268 MB of memory (ulimit -v)"), (2**44, "None")):
         script = f"""if True:
             import resource
             from studiorecon.machine import resource_errors as machine
@@ -85,4 +85,4 @@ def test_a_step_whose_memory_is_limited_says_that_this_may_be_why() -> None:
             print(machine.memory_note())
         """
         done = subprocess.run([sys.executable, "-c", script], text=True, capture_output=True)
-        assert done.stdout.startswith(said), done.stderr
+        assert done.stdout.startswith(messages), done.stderr

@@ -42,8 +42,8 @@ def results(folder: Path, root: Path, people: int) -> Path:
     return folder
 
 
-def verdict(folder: Path, said: str) -> None:
-    decided = Decision("dynamic_objects", "", 1.0, None, 0.5, "on" if said == "on" else "off", "")
+def verdict(folder: Path, messages: str) -> None:
+    decided = Decision("dynamic_objects", "", 1.0, None, 0.5, "on" if messages == "on" else "off", "")
     write_decisions(folder / "survey/decisions.json", [decided])
 
 

@@ -191,9 +191,9 @@ def test_a_run_with_nothing_to_do_says_where_the_results_are(
     assert "results/demo/report/index.html" in capsys.readouterr().err
 
 
-def event(kind: LogEvent | None, level: int = logging.INFO, **said: object) -> logging.LogRecord:
+def event(kind: LogEvent | None, level: int = logging.INFO, **messages: object) -> logging.LogRecord:
     record = logging.LogRecord("snakemake", level, "", 0, None, None, None)
-    record.__dict__.update(said, event=kind)
+    record.__dict__.update(messages, event=kind)
     return record
 
 

@@ -35,7 +35,7 @@ def over(above: dict[str, Any]) -> dict[str, Any]:
     return coerce_types(config, schema())
 
 
-def said(*entries: str) -> dict[str, Any]:
+def messages(*entries: str) -> dict[str, Any]:
     """The configuration with what ``snakemake --config`` makes of these."""
     return over(parse_config(entries))
 
@@ -71,7 +71,7 @@ def test_the_configuration_is_read_as_it_stands() -> None:
     ],
 )
 def test_the_command_line_is_read_as_what_the_setting_is(entry: str, path: str, value: Any) -> None:
-    config = said(entry)
+    config = messages(entry)
     assert mistakes(config, schema()) == []
     found: Any = config
     for name in path.split("."):
@@ -132,12 +132,12 @@ def test_whole_numbers_may_be_written_with_a_point_and_small_ones_without() -> N
     ],
 )
 def test_a_mistake_is_one_sentence_that_says_what_was_meant(entry: str, sentence: str) -> None:
-    (found,) = mistakes(said(entry), schema())
+    (found,) = mistakes(messages(entry), schema())
     assert sentence in found
 
 
 def test_several_mistakes_are_all_told_and_misspelt_names_first() -> None:
-    found = mistakes(said("capture={width: -1}", "people={fit: {iteratons: 20, vertics: 2}}"), schema())
+    found = mistakes(messages("capture={width: -1}", "people={fit: {iteratons: 20, vertics: 2}}"), schema())
     assert len(found) == 3
     assert "iteratons" in found[0]
     assert "vertics" in found[1]

@@ -49,7 +49,7 @@ def test_what_a_step_does_not_read_is_left_out_at_every_level() -> None:
     assert step_settings.restrict_settings(GIVEN, step_settings.setting_fields(Outer)) == TOLD
 
 
-def test_a_step_loads_the_same_from_what_it_is_told_as_from_the_whole_section() -> None:
+def test_a_step_loads_the_same_from_its_settings_as_from_the_whole_section() -> None:
     assert load(Outer, TOLD, "x") == load(Outer, GIVEN, "x")
 
 

@@ -53,14 +53,14 @@ def identity_page(name: str) -> str:
         f"p0 {name}": skeleton.Markup("x"),
         f"h0 {name}": skeleton.Markup("y"),
     }
-    told = {
+    reported = {
         "tracks": [track],
         "corrected": False,
         "left_out": [{"name": "h0", "reason": f"near {name}", "lines": [f"{name}\t1\tp1"]}],
     }
     row = {"person": "p0", "frames": "10", "confidence": "1", "source": "keypoints", "cameras": name}
     doubtful, rejected = [{**track, "person": "p0"}], [{**track, "person": ""}]
-    return review._page(told, [row], doubtful, rejected, [name], shown, {(name, 1): "p0"})
+    return review._page(reported, [row], doubtful, rejected, [name], shown, {(name, 1): "p0"})
 
 
 def runs_page(name: str, folder: Path, on: bool = True) -> str:
@@ -108,7 +108,7 @@ def test_a_page_reloads_while_the_run_is_on_and_leads_to_the_report_after_it(tmp
 
 @pytest.mark.browser
 @pytest.mark.parametrize("made", ["doctor", "identities"])
-def test_a_browser_finds_no_script_of_ours_in_what_pages_were_told(made: str, tmp_path: Path) -> None:
+def test_a_browser_finds_no_script_of_ours_in_what_pages_contain(made: str, tmp_path: Path) -> None:
     page = doctors_page(EVIL) if made == "doctor" else identity_page(EVIL)
     (tmp_path / "page.html").write_text(page, encoding="utf-8")
     done = subprocess.run(

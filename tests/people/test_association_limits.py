@@ -152,8 +152,8 @@ def test_equal_poses_far_apart_are_no_tie(options, method):
     rng, cameras = np.random.default_rng(0), ring()
     found = detect(cameras, people, 1.0, rng)
     planted = owner(cameras, found, people)
-    alike = np.tile(rng.normal(0, 0.3, (1, 23, 3)), (3, 1, 1))
-    bodies = with_bodies(found, cameras, planted, people, rng, 0.02, alike)
+    similar = np.tile(rng.normal(0, 0.3, (1, 23, 3)), (3, 1, 1))
+    bodies = with_bodies(found, cameras, planted, people, rng, 0.02, similar)
     assert pair_recall(group_tracks(bodies, cameras, 11, 30.0, limits, options.triangulation), planted) == 1.0
     huge = np.linalg.norm(100 * np.array([[0, 3, 5], [3, 0, 4], [5, 4, 0]])[..., None], axis=-1) + 100.0
     assert match_detections(1 - affinities(huge / GATE_M, np.zeros((3, 3)), limits), 1.0) == []
@@ -173,10 +173,10 @@ def test_the_side_a_person_is_seen_from_is_no_difference_of_pose(options, degree
         seen.append(local)
     naive = np.linalg.norm(log(seen[0][0] @ seen[1][0].T))
     assert naive == pytest.approx(np.radians(degrees), abs=1e-6)
-    alike = joint_differences_rad(log(seen[0][1:]), log(seen[1][1:]))
-    assert alike == pytest.approx(0, abs=1e-6)
+    similar = joint_differences_rad(log(seen[0][1:]), log(seen[1][1:]))
+    assert similar == pytest.approx(0, abs=1e-6)
     limits = replace(options.association, affinity="pose")
-    assert affinities(np.array(np.nan), alike, limits) == pytest.approx(1, abs=1e-5)
+    assert affinities(np.array(np.nan), similar, limits) == pytest.approx(1, abs=1e-5)
 
 
 def test_a07_a_joint_past_half_a_turn_is_near_itself():

@@ -74,7 +74,7 @@ def tracking(people_settings, **changed) -> TrackingLimits:
     return replace(people_settings(detections.Settings).tracking, **changed)
 
 
-def test_25_keypoints_are_told_apart_by_their_limbs():
+def test_25_keypoints_are_distinguished_by_their_limbs():
     rng = np.random.default_rng(0)
     joints = {
         "nose": (0, 0),
@@ -155,7 +155,7 @@ def test_detections_become_undistorted_working_pixels(tmp_path, people_settings)
             assert np.allclose(found.keypoints[0, 0, :2], expected)
 
 
-def test_keypoints_of_frames_that_are_not_used_are_told(capsys, tmp_path, people_settings):
+def test_keypoints_of_frames_that_are_not_used_are_reported(capsys, tmp_path, people_settings):
     lens = Lens("cam", (640, 480), np.eye(3), "opencv", np.zeros(5), np.eye(4), np.eye(2, 3))
     write_json(tmp_path / "calibration.json", {"lenses": [lens.as_json()]})
     write_footage(tmp_path / "cam.json", footage())
@@ -174,7 +174,7 @@ def test_keypoints_of_frames_that_are_not_used_are_told(capsys, tmp_path, people
     assert read_detections(files[-1]).frame.tolist() == [10]
 
 
-def test_tracks_bridge_gaps_and_end_where_two_people_cannot_be_told_apart(people_settings):
+def test_tracks_bridge_gaps_and_end_where_two_people_look_the_same(people_settings):
     limits = tracking(people_settings, gap_s=0.2)
     frames = [t for t in range(20) if t not in (5, 6)]
     one = track_ids(np.array(frames), np.stack([skeleton(100 + 2 * t, 100) for t in frames]), limits, 30.0)
@@ -189,7 +189,7 @@ def test_tracks_bridge_gaps_and_end_where_two_people_cannot_be_told_apart(people
 
 
 @pytest.mark.parametrize("fps", [10, 15, 30, 60, 120])
-def test_whoever_walks_or_waves_is_one_track_at_every_frame_rate(people_settings, fps):
+def test_a_person_who_walks_or_waves_is_one_track_at_every_frame_rate(people_settings, fps):
     """Half a body height per second sideways; hands and feet swing at 1.5 body heights per second; noise is the same in
     every picture."""
     rng, times_s = np.random.default_rng(0), np.arange(0, 3, 1 / fps)
@@ -230,7 +230,7 @@ def run_association(tmp_path: Path, cameras, found, options, videos=(), correcte
     return read_people(tmp_path / "people.tsv"), read_identities(tmp_path / "identities.tsv")
 
 
-def test_bodies_of_a_network_are_told_apart_by_their_joints(tmp_path, people_settings, two_people):
+def test_bodies_of_a_network_are_distinguished_by_their_joints(tmp_path, people_settings, two_people):
     """CoMotion brings SMPL's joints, and of a detector's points only the face's."""
     cameras, names = ring(), LAYOUTS["comotion27"].keypoints
     found = []
@@ -263,13 +263,13 @@ def test_whom_two_of_four_cameras_see_is_a_person_and_an_animal_is_left_out(
         names.setdefault(person, set()).add(identities[cameras[view].name, track])
     assert names.pop(3) == {""}
     assert sorted(map(sorted, names.values())) == [["p0"], ["p1"], ["p2"]]
-    said = capsys.readouterr().out
+    messages = capsys.readouterr().out
     left = [line.split("\t") for line in (tmp_path / "people.tsv").read_text().splitlines() if "rejected" in line]
     assert [(row[0], row[2], row[5]) for row in left] == [("r0", "c0,c1,c2,c3", "rejected")]
     assert "proportions" in left[0][6]
     assert "nats" in left[0][6]
     # What is said takes it in.
-    lines = said.split("left out: r0")[1].splitlines()[1:]
+    lines = messages.split("left out: r0")[1].splitlines()[1:]
     taken = {
         (camera, int(track)): name
         for camera, track, name in (line.split(": ")[1].split("\t") for line in lines if "\t" in line)
@@ -301,9 +301,9 @@ def test_nobody_is_an_empty_table_and_it_is_said(tmp_path, people_settings, caps
     assert identities == {}
     assert (tmp_path / "people.tsv").read_text() == "person\tframes\tcameras\tconfidence\tsource\tstatus\treason\n"
     assert (tmp_path / "who").is_dir(), "Snakemake waits for the folder"
-    told = capsys.readouterr().out
-    assert "warning: no camera has a detection" in told
-    assert "frames (c0, c1, c2, c3)" in told
+    reported = capsys.readouterr().out
+    assert "warning: no camera has a detection" in reported
+    assert "frames (c0, c1, c2, c3)" in reported
 
 
 def test_people_in_two_frames_only_are_nobody_and_it_is_said(tmp_path, people_settings, two_people, capsys):
@@ -314,9 +314,9 @@ def test_people_in_two_frames_only_are_nobody_and_it_is_said(tmp_path, people_se
     ]
     people, _ = run_association(tmp_path, ring(), found, people_settings(associate.Settings))
     assert people == []
-    told = capsys.readouterr().out
-    assert "warning: no person was identified: 16 detections" in told
-    assert "bring a longer clip" in told
+    reported = capsys.readouterr().out
+    assert "warning: no person was identified: 16 detections" in reported
+    assert "bring a longer clip" in reported
 
 
 def test_the_same_inputs_give_the_same_bytes_and_people_are_numbered_by_appearance(

@@ -68,10 +68,10 @@ def test_the_lines_of_a_warning_accept_the_person_and_join_two_names(
     report_rejected([missed], "p1")
     lines = re.findall(r"([a-d])\t(\d+)\t(p\d+)", capsys.readouterr().out)
     identities = {("a", 0): "", ("a", 1): "p0", ("b", 0): "", ("b", 4): "", ("c", 2): "p0"}
-    told = identities | {(camera, int(track)): person for camera, track, person in lines}
+    reported = identities | {(camera, int(track)): person for camera, track, person in lines}
     rows = people_table_rows(
-        read_corrected_identities(write(tmp_path, *((*key, who) for key, who in told.items())), FOUND), FOUND
+        read_corrected_identities(write(tmp_path, *((*key, who) for key, who in reported.items())), FOUND), FOUND
     )
     assert [(row[0], row[2]) for row in rows] == [("p0", "a,c"), ("p1", "a,b")]
-    joined = write(tmp_path, *((*key, who and "p0") for key, who in told.items()))
+    joined = write(tmp_path, *((*key, who and "p0") for key, who in reported.items()))
     assert [row[2] for row in people_table_rows(read_corrected_identities(joined, FOUND), FOUND)] == ["a,b,c"]

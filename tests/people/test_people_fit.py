@@ -207,11 +207,11 @@ REFUSED = {
 
 @pytest.mark.parametrize("row", REFUSED)
 def test_a_person_changed_as_advised_is_fitted(row: str, body: BodyModel, made: Made, default_settings) -> None:
-    broken, factor, said = REFUSED[row]
+    broken, factor, messages = REFUSED[row]
     right = detect(body, made, 1)
     refused = broken(right)
     wrong = replace(made, cameras=longer(made.cameras, factor))
-    with pytest.raises(UserError, match=said):
+    with pytest.raises(UserError, match=messages):
         solve(body, wrong, refused, default_settings("people"), views=len(refused))
     person = solve(body, made, right, default_settings("people"), views=len(refused))
     assert error_mm(person, made) < 20
@@ -340,7 +340,7 @@ def test_real_balancing_man_is_fitted_to_two_centimetres(real_data: Path, body: 
     assert abs(fit.limb_ratio(points, person, body) - 1) < 0.03
 
 
-def test_who_walks_in_or_comes_back_is_there_while_measured_and_told_when_not(
+def test_who_walks_in_or_comes_back_is_there_while_measured_and_reported_when_not(
     body: BodyModel, made: Made, default_settings, capsys: pytest.CaptureFixture
 ) -> None:
     """Eight seconds at five pictures a second: seen by all cameras in the third and fourth second and in the last."""
@@ -364,9 +364,9 @@ def test_who_walks_in_or_comes_back_is_there_while_measured_and_told_when_not(
     assert moved_m[[8, 20]].max() < 0.03
     assert np.isfinite(person.joints).all()
     fit.report_filled_frames(person)
-    told = capsys.readouterr().out
-    assert "p0: frames 8–9, 20–21, 33–34 are interpolated" in told
-    assert "p0: frames 0–7, 22–32: no camera determines the position of p0" in told
+    reported = capsys.readouterr().out
+    assert "p0: frames 8–9, 20–21, 33–34 are interpolated" in reported
+    assert "p0: frames 0–7, 22–32: no camera determines the position of p0" in reported
     # One camera that keeps sight of them says that they were there all the time.
     between = np.zeros(FRAMES, bool)
     between[20:35:5] = True

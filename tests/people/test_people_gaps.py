@@ -87,8 +87,8 @@ def test_a_return_that_nothing_decides_is_two_names_and_a_question(capsys):
     options = loaded(associate.Settings)
     _, rows, _ = identities_from_keypoints(options.association, options.triangulation, cameras, found, [], FRAMES, FPS)
     assert len(rows) == 3
-    told = capsys.readouterr().out
-    assert "p2, seen from 6.0 s on, may be p1, who left at 1.9 s: undecided" in told
+    reported = capsys.readouterr().out
+    assert "p2, seen from 6.0 s on, may be p1, who left at 1.9 s: undecided" in reported
 
 
 def test_groups_that_exclude_each_other_are_chosen_together() -> None:

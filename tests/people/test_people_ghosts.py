@@ -91,7 +91,7 @@ def test_a_poster_and_a_screen_have_no_depth(figure, who):
     assert len([r for r in reasons if "it is flat" in r]) == 2
 
 
-def test_whoever_stands_with_arms_hanging_or_spread_has_depth(figure, who, root):
+def test_a_person_who_stands_with_arms_hanging_or_spread_has_depth(figure, who, root):
     body = BodyModel.load(root / "resources" / "body.npz")
     spread = body.keypoints(list(NAMES), np.zeros((1, 72)), np.zeros(10), np.zeros((1, 3)))[0][:, [0, 2, 1]] * [
         -1,

@@ -117,7 +117,7 @@ def test_pelvises_come_out_where_they_are(camera: Camera) -> None:
     assert gap_m == pytest.approx(np.full(len(gap_m), THICK_M), abs=0.03)
 
 
-def test_one_alignment_for_all_frames_keeps_whoever_stands_at_one_depth() -> None:
+def test_one_alignment_for_all_frames_keeps_a_person_who_stands_at_one_depth() -> None:
     camera = rig()[0]
     seen, predicted, first_m = seen_by(camera), network_depths(camera), moments(camera)[0]
     # The walls differ from frame to frame, people do not: a fit of each frame's own would move whoever stands.
@@ -219,13 +219,16 @@ def test_two_cameras_find_the_same_people_by_them(tmp_path: Path, monkeypatch: p
     limits = AssociationLimits(method="star", affinity="position", position="scene")
     now = [one.only(one.frame == FRAMES - 1) for one in found]
     pairs = track_pairs(now, stable_detections(now), cameras, limits)
-    alike = pairs.affinity[np.ix_(pairs.graph.view == 0, pairs.graph.view == 1)]
-    assert (np.diag(alike) > 0.7).all()
+    similar = pairs.affinity[np.ix_(pairs.graph.view == 0, pairs.graph.view == 1)]
+    assert (np.diag(similar) > 0.7).all()
     # Beyond 0.3 m two pelvises are two people.
-    assert alike[0, 1] == alike[1, 0] == 0
+    assert similar[0, 1] == similar[1, 0] == 0
     nobody = [replace(one, pelvis=None) for one in found]
-    for position, said in (("scene", "depth is unknown at every pelvis; set it to rays"), ("pelvis", "set it to rays")):
-        with pytest.raises(UserError, match=said):
+    for position, messages in (
+        ("scene", "depth is unknown at every pelvis; set it to rays"),
+        ("pelvis", "set it to rays"),
+    ):
+        with pytest.raises(UserError, match=messages):
             require_measured(nobody, cameras, replace(limits, position=position))
     require_measured(nobody, cameras, replace(limits, position="rays"))
 
@@ -254,6 +257,6 @@ def test_a_depth_that_gives_no_metre_is_refused(
     seen = detect(cameras, people, 0.3, np.random.default_rng(0))
     limits = AssociationLimits(method="star", affinity="position", position="rays")
     pairs = track_pairs(seen, stable_detections(seen), cameras, limits)
-    alike = pairs.affinity[np.ix_(pairs.graph.view == 0, pairs.graph.view == 1)]
-    assert alike.max(axis=1).min() > 0.5
-    assert sorted(alike.argmax(axis=1)) == [0, 1]
+    similar = pairs.affinity[np.ix_(pairs.graph.view == 0, pairs.graph.view == 1)]
+    assert similar.max(axis=1).min() > 0.5
+    assert sorted(similar.argmax(axis=1)) == [0, 1]

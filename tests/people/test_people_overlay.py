@@ -110,7 +110,7 @@ def test_the_film_has_every_frame(tmp_path: Path, root: Path, person: Person) ->
         overlay.run(**{**options, "camera": "cam9"})
 
 
-def test_whoever_is_away_has_no_skeleton(person: Person) -> None:
+def test_a_person_who_is_away_has_no_skeleton(person: Person) -> None:
     late = replace(person, present=np.arange(FRAMES) >= 2)
     grey = np.full((200, 320, 3), 90, np.uint8)
     assert (overlay.draw_frame(grey, 1, CAMERA, [late], None, {}) == 90).all()

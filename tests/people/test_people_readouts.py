@@ -32,18 +32,18 @@ def walked(seed: int, **planted: object) -> tuple[Tracks, list[Camera]]:
 @pytest.mark.parametrize("seed", range(6))
 def test_a_planted_readout_is_found_in_its_camera_alone(seed: int) -> None:
     seen, cameras = walked(seed, readout=0.9)
-    told = estimate_readouts(seen.pixels, cameras, FPS)
-    assert [one.camera for one in told if one.used_s] == [cameras[-1].name], told
-    assert told[-1].used_s == pytest.approx(PLANTED_S, abs=max(4 * (told[-1].sigma_s or 0), 0.1 * PLANTED_S))
+    reported = estimate_readouts(seen.pixels, cameras, FPS)
+    assert [one.camera for one in reported if one.used_s] == [cameras[-1].name], reported
+    assert reported[-1].used_s == pytest.approx(PLANTED_S, abs=max(4 * (reported[-1].sigma_s or 0), 0.1 * PLANTED_S))
 
 
 @pytest.mark.parametrize("planted", [{}, {"lag_frames": 0.5}, {"k1": 0.06}, {"speed_m_s": 0.02, "readout": 0.9}])
 def test_nothing_is_moved_that_another_cause_explains(planted: dict) -> None:
     for seed in range(6):
         seen, cameras = walked(seed, **planted)
-        told = estimate_readouts(seen.pixels, cameras, FPS)
-        assert not any(one.used_s for one in told), told
-        assert all(one.reason for one in told)
+        reported = estimate_readouts(seen.pixels, cameras, FPS)
+        assert not any(one.used_s for one in reported), reported
+        assert all(one.reason for one in reported)
 
 
 def test_a_time_that_no_sensor_takes_is_not_believed() -> None:
@@ -52,8 +52,8 @@ def test_a_time_that_no_sensor_takes_is_not_believed() -> None:
 
 
 def test_nobody_tells_nothing() -> None:
-    told = estimate_readouts(np.full((4, 0, 10, 25, 2), np.nan), cameras_of(Plan()), FPS)
-    assert {(one.readout_s, one.used_s) for one in told} == {(None, 0.0)}
+    reported = estimate_readouts(np.full((4, 0, 10, 25, 2), np.nan), cameras_of(Plan()), FPS)
+    assert {(one.readout_s, one.used_s) for one in reported} == {(None, 0.0)}
 
 
 def test_the_step_finds_it_and_keypoints_come_back_to_where_they_were(

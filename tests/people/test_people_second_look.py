@@ -162,10 +162,10 @@ def test_where_somebody_is_between_two_moments_lies_on_the_line_between_them() -
 def test_what_is_found_in_a_late_picture_goes_back_to_its_moment(monkeypatch: pytest.MonkeyPatch) -> None:
     """A picture half a frame beside its moment shows somebody 6 px away; the landmarks found there come back."""
     walking = ExpectedKeypoints("p0", np.stack([somebody(100 + 12 * t) for t in range(FRAMES)]))
-    asked = []
+    requested = []
 
     def seen_there(_network: object, _picture: object, region: Region) -> Landmarks:
-        asked.append(region.centre)
+        requested.append(region.centre)
         keypoints = np.column_stack([somebody(124 + 12 * late), np.full(len(NAMES), 1.0)])
         return Landmarks(keypoints, 1.0, np.zeros((33, 3)), np.zeros((MASK_PX, MASK_PX), np.uint8), region, region)
 
@@ -183,5 +183,5 @@ def test_what_is_found_in_a_late_picture_goes_back_to_its_moment(monkeypatch: py
     view = second_look.CameraPictures(footage, None, {}, clocks)
     plan = replace(plan_second_look(detections((0, 0, somebody(900))), [walking], {}, FRAMES), searches=[(2, 0, -1)])
     (look,) = second_look.redetect(None, [np.zeros((480, 640, 3), np.uint8)], plan, [walking], None, view)
-    np.testing.assert_allclose(asked[0][0], somebody(124 + 12 * late)[:, 0][[23, 24]].mean())
+    np.testing.assert_allclose(requested[0][0], somebody(124 + 12 * late)[:, 0][[23, 24]].mean())
     np.testing.assert_allclose(look.keypoints[:, 0], somebody(124)[:, 0])

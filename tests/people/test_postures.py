@@ -61,7 +61,7 @@ def test_limbs_point_the_same_way_from_every_camera_and_another_for_another_pers
         assert apart[~np.eye(4, dtype=bool)].min() > 0.4
 
 
-def test_left_is_told_from_right(root: Path) -> None:
+def test_left_differs_from_right(root: Path) -> None:
     person = guessed(bodies(root, 1), CAMERAS[0])
     order = np.arange(len(LAYOUT.keypoints))
     for left, right in LAYOUT.pairs:
@@ -78,7 +78,7 @@ def test_without_a_guess_nothing_is_known(root: Path) -> None:
     assert np.isnan(limb_directions(other, CAMERAS[0])).all()
 
 
-def test_who_stands_where_rays_cannot_tell_is_told_by_posture(root: Path) -> None:
+def test_who_stands_where_rays_cannot_tell_is_decided_by_posture(root: Path) -> None:
     people = bodies(root, 3, seed=4)
     found = [guessed(people, camera) for camera in CAMERAS]
     limits = AssociationLimits(affinity="pose")

@@ -63,11 +63,11 @@ def test_a_point_that_one_camera_sees_and_one_on_the_line_between_two_are_undete
         with_pose(c, np.array(eye), look_at(np.array(eye), np.array([0, 0, 1.0])))
         for c, eye in zip(rig, [(3, 0, 1), (-3, 0, 1.0)])
     ]
-    told = information(opposite, np.array([[0.0, 0, 1.0], [0.0, 0.5, 1.0]]))
+    reported = information(opposite, np.array([[0.0, 0, 1.0], [0.0, 0.5, 1.0]]))
     both = np.ones((2, 2), bool)
-    assert errors_m(told, both)[0] > 10, "on the base line: T02"
-    assert errors_m(told, both)[1] < 0.2
-    assert np.isinf(errors_m(told, np.array([[True, True], [False, False]]))).all()
+    assert errors_m(reported, both)[0] > 10, "on the base line: T02"
+    assert errors_m(reported, both)[1] < 0.2
+    assert np.isinf(errors_m(reported, np.array([[True, True], [False, False]]))).all()
 
 
 def test_somebody_in_the_way_hides_what_lies_behind_them() -> None:
@@ -107,18 +107,18 @@ def test_cameras_stand_in_the_room_and_a_named_rig_is_well_placed(rig: list[Came
 
 
 def test_another_camera_never_makes_anything_worse(rig: list[Camera]) -> None:
-    judge = RigEvaluator(ROOM)
+    evaluator = RigEvaluator(ROOM)
     eye = np.array([3.0, 0.3, 2.2])
     fewer, more = (
-        judge.figures(rig),
-        judge.figures([*rig, with_pose(rig[0], eye, look_at(eye, np.array([3.0, 3.0, 1.0])))]),
+        evaluator.figures(rig),
+        evaluator.figures([*rig, with_pose(rig[0], eye, look_at(eye, np.array([3.0, 3.0, 1.0])))]),
     )
     assert more.error_m <= fewer.error_m
     assert more.worst_error_m <= fewer.worst_error_m
     for name in ("two", "three", "two_hidden", "three_hidden"):
         assert all(getattr(more, name)[height] >= share for height, share in getattr(fewer, name).items())
     assert all(more.unseen[part] <= share for part, share in fewer.unseen.items())
-    with_none = judge.figures(rig[:1])
+    with_none = evaluator.figures(rig[:1])
     assert with_none.undetermined == 1.0
 
 
@@ -129,12 +129,12 @@ def displaced(rig: Sequence[Camera]) -> list[Camera]:
 
 def test_advice_names_the_camera_that_stands_badly_and_is_worth_what_it_says(rig: list[Camera]) -> None:
     cameras = displaced(rig)
-    judge = RigEvaluator(ROOM)
-    before, moves = judge.cost_m(cameras), advise_moves(cameras, ROOM)
+    evaluator = RigEvaluator(ROOM)
+    before, moves = evaluator.cost_m(cameras), advise_moves(cameras, ROOM)
     assert moves[0].camera == "cam3"
     assert moves[0].gain > 0.1
     for move in moves:
-        after = judge.cost_m([move.better if camera.name == move.camera else camera for camera in cameras])
+        after = evaluator.cost_m([move.better if camera.name == move.camera else camera for camera in cameras])
         assert after == pytest.approx(before * (1 - move.gain))
         assert ROOM.holds(move.better.centre_m, 0.1)
         assert move.camera in move.words
@@ -142,7 +142,7 @@ def test_advice_names_the_camera_that_stands_badly_and_is_worth_what_it_says(rig
     assert not [move for move in advise_moves(rig, ROOM) if move.gain > 0.1], "a planned rig has little to gain"
 
 
-def test_a_move_is_told_as_seen_from_behind_the_camera() -> None:
+def test_a_move_is_reported_as_seen_from_behind_the_camera() -> None:
     camera = with_pose(
         lens_from_fov("cam3", 65, (1920, 1080)),
         np.array([3.0, 0.5, 1.5]),
@@ -198,14 +198,14 @@ def test_the_command_plans_a_room_the_same_every_time(
     monkeypatch.chdir(tmp_path)
     words = ["plan", "--room", "4x3x2.5", "--cameras", "2", "--hfov", "80", "60"]
     assert command.main(words) == 0
-    told = capsys.readouterr().out
+    reported = capsys.readouterr().out
     first = (tmp_path / "plan.svg").read_bytes(), (tmp_path / "plan.json").read_bytes()
     assert command.main([*words, "--picture", "again.svg"]) == 0
     assert ((tmp_path / "again.svg").read_bytes(), (tmp_path / "again.json").read_bytes()) == first
-    assert "2 cameras of 80° and 60° (1920 × 1080) in 4 × 3 × 2.5 m" in told
-    assert "Seen by two cameras at head height" in told
-    assert "plan.svg" in told
-    assert told.count("m from the left wall") == 2
+    assert "2 cameras of 80° and 60° (1920 × 1080) in 4 × 3 × 2.5 m" in reported
+    assert "Seen by two cameras at head height" in reported
+    assert "plan.svg" in reported
+    assert reported.count("m from the left wall") == 2
     words_in_picture = " ".join(ElementTree.parse(tmp_path / "plan.svg").getroot().itertext())
     assert "cam2" in words_in_picture
     assert len(json.loads((tmp_path / "plan.json").read_text())["cameras"]) == 2
@@ -240,9 +240,9 @@ def test_where_a_camera_stands_is_said_in_metres_and_directions_of_the_picture(
     world_from_camera = np.eye(4)
     world_from_camera[:3, :3], world_from_camera[:3, 3] = look_at(low + eye, low + towards), low + eye
     camera = replace(lenses(1)[0], camera_from_world=np.linalg.inv(world_from_camera))
-    said = camera_position_text(camera, ROOM)
-    assert words in said
-    assert eye[2] == towards[2] or said.endswith("down" if eye[2] > towards[2] else "up")
+    messages = camera_position_text(camera, ROOM)
+    assert words in messages
+    assert eye[2] == towards[2] or messages.endswith("down" if eye[2] > towards[2] else "up")
 
 
 def test_a_finished_calibration_is_advised(

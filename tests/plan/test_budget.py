@@ -155,9 +155,9 @@ def test_too_little_time_takes_the_quickest_and_says_so() -> None:
     assert choice.chosen.name == "look"
     assert not choice.fits
     assert "no preset is quicker" in choice.sentence()
-    told = choice.as_json()
-    assert told["more"] in choice.sentence()
-    assert told["low_s"] < told["predicted_s"] < told["high_s"]
+    reported = choice.as_json()
+    assert reported["more"] in choice.sentence()
+    assert reported["low_s"] < reported["predicted_s"] < reported["high_s"]
 
 
 def test_settings_of_the_user_stay() -> None:
@@ -172,8 +172,8 @@ def test_settings_of_the_user_stay() -> None:
 
 
 def test_a_default_that_the_user_says_stays_too() -> None:
-    said = {"capture": {"width": DEFAULTS["capture"]["width"]}, "background": {"training": {"iterations": 1500}}}
-    made = bought_for(0.01, points(look=22.0, defaults=23.0), stated=UserChoices(said, SCHEMA)).chosen.config
+    messages = {"capture": {"width": DEFAULTS["capture"]["width"]}, "background": {"training": {"iterations": 1500}}}
+    made = bought_for(0.01, points(look=22.0, defaults=23.0), stated=UserChoices(messages, SCHEMA)).chosen.config
     assert made["capture"]["width"] == DEFAULTS["capture"]["width"]
     assert made["background"]["training"]["iterations"] == 1500
     assert made["humans"]["iterations"] == read_preset("look")["humans"]["iterations"]

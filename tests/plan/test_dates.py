@@ -20,7 +20,7 @@ def dated(path: Path, seconds: float) -> Path:
     return path
 
 
-def test_a_recorder_whose_clock_was_ahead_is_told_with_the_command_that_mends_it(tmp_path: Path) -> None:
+def test_a_recorder_whose_clock_was_ahead_is_reported_with_the_command_that_mends_it(tmp_path: Path) -> None:
     now = time.time()
     dated(tmp_path / "take/videos/cam1.mp4", now - 9000)
     ahead = dated(tmp_path / "take/videos/cam2.mp4", now + 90_000)
@@ -34,7 +34,7 @@ def test_a_recorder_whose_clock_was_ahead_is_told_with_the_command_that_mends_it
     refuse_future(tmp_path / "take", tmp_path / "results", now)
 
 
-def test_a_clock_that_stepped_back_is_told_of_results(tmp_path: Path) -> None:
+def test_a_clock_that_stepped_back_is_reported_with_results(tmp_path: Path) -> None:
     now = time.time()
     for name in ("a.npz", "cameras/images.txt"):
         dated(tmp_path / "results" / name, now + 4000)

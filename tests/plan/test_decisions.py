@@ -132,8 +132,8 @@ def test_a_correction_in_the_configuration_counts_before_the_datasets(configured
 
 
 def test_networks_bring_their_image_and_their_gpu(configured, home):
-    asked = {"depth": {"source": "moge"}, "calibration": {"source": "pi3"}}
-    plan, images = make_plan(configured(**asked), home), read_images(configured(**asked), home)
+    requested = {"depth": {"source": "moge"}, "calibration": {"source": "pi3"}}
+    plan, images = make_plan(configured(**requested), home), read_images(configured(**requested), home)
     assert (plan.networks.depth, plan.networks.cameras, plan.networks.masks) == ("moge", "pi3", "")
     assert plan.calibration == [f"results/capture/calibration/network/{n}.txt" for n in ("cameras", "images")]
     assert set(plan.networks.images) == {"core", "moge", "pi3", "vision"}

@@ -23,13 +23,13 @@ class Asked:
     """Snakemake's checkpoints of a run in which ``finished`` have run; requests are counted."""
 
     def __init__(self, folder: Path, **finished: Any) -> None:
-        self.asked: list[str] = []
+        self.requested: list[str] = []
         for name in ("calibration_from_people", "people_associate", "survey_decide"):
             setattr(self, name, Wildcards(get=self._get(name, finished.get(name))))
 
     def _get(self, name: str, output: Any) -> Any:
         def get(scene: str) -> Any:
-            self.asked.append(name)
+            self.requested.append(name)
             assert scene == "capture"
             if output is None:
                 raise LookupError(f"{name} has not run")
@@ -101,10 +101,10 @@ def test_cameras_that_people_do_not_place_take_no_part(configured, capture, home
     no checkpoint.
     """
     (capture / "capture.yaml").write_text("held_out: [left]\n")
-    asked = Asked(tmp_path)
-    own = files_of(configured(), home, asked)
+    requested = Asked(tmp_path)
+    own = files_of(configured(), home, requested)
     assert (own.training(SCENE), own.held_out(SCENE)) == (["back", "right"], ["left"])
-    assert asked.asked == []
+    assert requested.requested == []
     (capture / "intri.yml").unlink()
     with pytest.raises(LookupError, match="calibration_from_people"):
         files_of(configured(), home, Asked(tmp_path)).detections(SCENE)
@@ -125,19 +125,19 @@ def test_cameras_that_people_do_not_place_take_no_part(configured, capture, home
 
 
 def test_association_says_who_is_there(configured, home, tmp_path, found):
-    asked = Asked(tmp_path, people_associate=found["people_associate"])
-    files = files_of(configured(), home, asked)
+    requested = Asked(tmp_path, people_associate=found["people_associate"])
+    files = files_of(configured(), home, requested)
     assert files.fits(SCENE) == [f"results/capture/people/p{k}.npz" for k in (0, 1)], "the rejected is nobody"
     assert files.people(Wildcards()) == files.people(SCENE), "a target without wildcards is of the run's own scene"
     person = Wildcards(scene="capture", person="p1")
     assert files.person_tracks(person) == ["who/p1.tsv"]
-    assert set(asked.asked) == {"people_associate"}
+    assert set(requested.requested) == {"people_associate"}
 
 
 def test_an_empty_room_asks_nobody(configured, capture, home, tmp_path):
     (capture / "capture.yaml").write_text("people: 0\n")
-    asked = Asked(tmp_path)
-    files = files_of(configured(), home, asked)
+    requested = Asked(tmp_path)
+    files = files_of(configured(), home, requested)
     for nothing in (
         files.people,
         files.fits,
@@ -149,7 +149,7 @@ def test_an_empty_room_asks_nobody(configured, capture, home, tmp_path):
         files.recognition,
     ):
         assert nothing(SCENE) == []
-    assert asked.asked == []
+    assert requested.requested == []
 
 
 def test_verdicts_call_for_files_and_what_is_forced_asks_nobody(configured, home, tmp_path, found):
@@ -159,12 +159,12 @@ def test_verdicts_call_for_files_and_what_is_forced_asks_nobody(configured, home
     assert files.loose_objects(SCENE) == [], "undetermined is not on"
     assert files.room_light(SCENE) == ["results/capture/render/room.light.json"]
     assert files.room_shade(SCENE) == ["results/capture/render/room.shade.npz"]
-    asked = Asked(tmp_path)
+    requested = Asked(tmp_path)
     force = {"exposure": "off", "view_synthesis": "on", "closed_path": "on"}
-    off = files_of(configured(survey={"force": force}), home, asked)
+    off = files_of(configured(survey={"force": force}), home, requested)
     assert off.gains(SCENE) == []
     assert off.segments(SCENE) == off.plan.segments
-    assert asked.asked == []
+    assert requested.requested == []
 
 
 @pytest.mark.parametrize(
@@ -211,7 +211,7 @@ def test_a_shot_names_its_path_its_stand_ins_and_its_reference(configured, home,
     assert files.replacement_truth(far) == []
 
 
-def test_a_network_is_shown_people_only_where_it_is_asked_to_be(configured, home, tmp_path):
+def test_a_network_is_shown_people_only_where_it_is_set_to(configured, home, tmp_path):
     write_people(tmp_path / "people.tsv", [("p0", 11, "a,b", 1.0, "keypoints")])
     run = Asked(tmp_path, people_associate={"people": str(tmp_path / "people.tsv")})
     shown = configured(views={"synthesizer": "gen3c", "key_frames": "first_frames"})
@@ -243,9 +243,9 @@ def test_a_photo_of_a_stranger_is_made_into_a_person_and_asks_for_its_network(co
     assert ("render.shots.guest.replace", "lhm") in select_networks(config)
     with pytest.raises(UserError, match="no film's replace names a photo of otto"):
         files.replacement_photo(Wildcards(scene="capture", stranger="stranger_otto"))
-    for other, said in (("more/anna.png", "rename one"), ("anna b.png", "letters, digits")):
+    for other, messages in (("more/anna.png", "rename one"), ("anna b.png", "letters, digits")):
         both = configured(render={"shots": {**films, "c": {"kind": "orbit", "replace": {"p0": other}}}})
-        with pytest.raises(UserError, match=said):
+        with pytest.raises(UserError, match=messages):
             files_of(both, home).replacement_photo(Wildcards(scene="capture", stranger="stranger_anna"))
     with pytest.raises(
         UserError, match=r"render\.shots\.guest\.replace is lhm, and LHM-1B may not be used commercially"
@@ -253,7 +253,7 @@ def test_a_photo_of_a_stranger_is_made_into_a_person_and_asks_for_its_network(co
         files_of(configured(render={"shots": films}, licences="commercial"), home)
 
 
-def test_a_step_is_told_what_it_reads_and_what_the_survey_is_forced_to(configured):
+def test_a_step_gets_the_settings_it_reads_and_what_the_survey_is_forced_to(configured):
     config = configured(survey={"force": {"temporal_appearance": "on", "enhancement": "off", "injection": "off"}})
     assert step_section("humans.train", config)["temporal"]["use"] == "always"
     assert step_section("enhance.shot", config)["enhancer"] == "none"
@@ -267,8 +267,8 @@ def test_readouts_move_keypoints_unless_they_are_switched_off(configured, home, 
     person, run = Wildcards(scene="capture", person="p1"), {"people_associate": found["people_associate"]}
     for use, files in ((True, ["readouts.json"]), (False, [])):
         config = configured(people={"fit": {"rolling_shutter": use}})
-        asked = files_of(config, home, Asked(tmp_path, **run)).readouts_for(person)
-        assert [Path(path).name for path in asked] == files
+        requested = files_of(config, home, Asked(tmp_path, **run)).readouts_for(person)
+        assert [Path(path).name for path in requested] == files
 
 
 def test_a_films_settings_are_of_that_film_and_a_reference_renders_nothing_again(configured):

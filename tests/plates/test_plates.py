@@ -59,7 +59,9 @@ class TestPlate:
     def settings(self, default_settings) -> plate_step.Settings:
         return load(plate_step.Settings, default_settings("plates"), "plates")
 
-    def test_whoever_passes_leaves_no_trace_and_whoever_stays_is_unknown(self, settings: plate_step.Settings) -> None:
+    def test_a_person_who_passes_leaves_no_trace_and_a_person_who_stays_is_unknown(
+        self, settings: plate_step.Settings
+    ) -> None:
         background = smooth_pictures(1, seed=4)[0]
         frames, there = passing_block(40, background, 1.5)
         colour, measured = plate_step.temporal_plate(frames, there, settings)
@@ -133,7 +135,7 @@ class TestPlate:
         np.testing.assert_allclose(rgb[25:45, 71:79] * 255, background[25:45, 71:79], atol=12)
         np.testing.assert_allclose(rgb[12:18, 6:14] * 255, background[12:18, 6:14], atol=4)
 
-    def test_whoever_sways_undetected_in_front_of_a_given_plate_is_not_painted_into_it(
+    def test_a_person_who_sways_undetected_in_front_of_a_given_plate_is_not_painted_into_it(
         self, tmp_path: Path, settings: plate_step.Settings
     ) -> None:
         background = smooth_pictures(1, seed=4)[0]
@@ -149,7 +151,7 @@ class TestPlate:
         np.testing.assert_allclose(rgb[15:55, 56:82] * 255, background[15:55, 56:82], atol=12)
         np.testing.assert_allclose(rgb[12:28, 7:18] * 255, background[12:28, 7:18], atol=4)
 
-    def test_whoever_keeps_to_a_spot_and_waves_is_not_painted_into_a_given_plate(
+    def test_a_person_who_keeps_to_a_spot_and_waves_is_not_painted_into_a_given_plate(
         self, tmp_path: Path, settings: plate_step.Settings
     ) -> None:
         background = smooth_pictures(1, seed=4)[0]

@@ -289,10 +289,10 @@ def test_a_path_through_a_person_and_a_wall_is_warned_about(
     )
     rows = read_table(options["ledger"], LEDGER_COLUMNS)
     assert [row["near"] for row in rows] == ["", "p0", "background", ""]
-    told = [sentence for _, sentence in film_warnings([options["ledger"]], 0.5, 60.0)]
-    assert "shot planted passes through p0 in 1 of 4 pictures (1)" in told
-    assert "shot planted passes through walls or furniture in 1 of 4 pictures (2)" in told
-    assert any("shows less than 50 % measured surfaces" in s for s in told), (
+    reported = [sentence for _, sentence in film_warnings([options["ledger"]], 0.5, 60.0)]
+    assert "shot planted passes through p0 in 1 of 4 pictures (1)" in reported
+    assert "shot planted passes through walls or furniture in 1 of 4 pictures (2)" in reported
+    assert any("shows less than 50 % measured surfaces" in s for s in reported), (
         "from outside the walls' backs are seen, or nothing"
     )
 

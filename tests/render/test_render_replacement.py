@@ -53,7 +53,7 @@ def same(one: Avatar, other: Avatar) -> None:
         np.testing.assert_allclose(getattr(one.posed(2.5), name), getattr(other.posed(2.5), name), atol=2e-6)
 
 
-def test_the_replacement_stands_where_the_performer_stood(people: list[Avatar], body: BodyModel) -> None:
+def test_the_replacement_stands_where_the_performer_was(people: list[Avatar], body: BodyModel) -> None:
     """Every Gaussian projects to the donor's own surface in the performer's pose and position, feet on the floor."""
     performer, other = people
     stand_in = retarget(donor_from_avatar(other), performer)

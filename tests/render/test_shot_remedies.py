@@ -87,7 +87,7 @@ def planned(shot: dict[str, Any], counts: tuple[int, int], folder: Path) -> Sequ
 
 @pytest.mark.parametrize("row", ROWS)
 def test_a_shot_described_as_advised_is_planned(row: str, tmp_path: Path) -> None:
-    shot, counts, said, mended, enough = ROWS[row]
-    with pytest.raises(UserError, match=said):
+    shot, counts, messages, mended, enough = ROWS[row]
+    with pytest.raises(UserError, match=messages):
         planned(shot, counts, tmp_path)
     assert len(planned(mended, enough, tmp_path)) > 0

@@ -430,7 +430,7 @@ def test_masks_add_numbers_of_people_and_room_and_every_number_has_raw_values_an
     assert result["provenance"]["masks"].startswith("given")
 
 
-def test_the_command_alone_and_a_run_are_told_the_same(default_settings: Callable) -> None:
+def test_the_command_alone_and_a_run_get_the_same(default_settings: Callable) -> None:
     told = settings_module.load(evaluate.Settings, default_settings("report"), "report")
     assert told.flow_preset == score._FLOW_PRESET
     assert (told.bootstrap_samples, told.seed) == (score._BOOTSTRAP.samples, score._BOOTSTRAP.seed)
@@ -453,7 +453,7 @@ def test_scoring_twice_gives_the_same_bytes(tmp_path: Path) -> None:
     assert scored(tmp_path, "one.json").read_bytes() == scored(tmp_path, "two.json").read_bytes()
 
 
-def test_a_better_result_is_told_from_an_equal_one(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_better_result_differs_from_an_equal_one(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     for name, shift in (("worse", 12), ("better", 6)):
         write_folders(tmp_path / name, shift)
         scored(tmp_path / name, "m.json")

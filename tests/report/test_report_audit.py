@@ -15,7 +15,7 @@ from studiorecon.scene.effects import ENHANCEMENT, INJECTION
 from studiorecon.scene.files import write_npz
 
 
-def test_who_drifts_most_speaks_for_all_and_who_was_not_asked_for_nobody() -> None:
+def test_who_drifts_most_speaks_for_all_and_who_is_unmeasured_for_nobody() -> None:
     drift = Decision("temporal_appearance", "s", 0.3, (0.25, 0.35), 0.1, "on", "p1's shirt")
     still = replace(drift, value=0.02, interval=(0.01, 0.03), verdict="off", reason="p0 is of stone")
     found = decide_appearance_network({"p0": still, "p1": drift, "p2": None}, 0.1)
@@ -33,13 +33,13 @@ def test_the_step_decides_and_can_be_forced(tmp_path: Path, default_settings) ->
     drift = Decision("temporal_appearance", "s", 0.3, (0.25, 0.35), 0.1, "on", "why")
     write_npz(tmp_path / "p0.npz", {"decision": json.dumps(asdict(drift))})
     calm = INJECTION.decide(0.01, (0.0, 0.02), "calm")
-    told = {"orbit": [ENHANCEMENT.decide(0.3, (0.2, 0.4), "gains"), calm], "still": [calm], "elsewhere": []}
-    for film, decisions in told.items():
+    reported = {"orbit": [ENHANCEMENT.decide(0.3, (0.2, 0.4), "gains"), calm], "still": [calm], "elsewhere": []}
+    for film, decisions in reported.items():
         write_decisions(tmp_path / f"{film}.json", decisions)
     settings = load(step.Settings, default_settings("survey"), "survey")
     files = {
         "avatars": [tmp_path / "p0.npz"],
-        "films": [tmp_path / f"{film}.json" for film in told],
+        "films": [tmp_path / f"{film}.json" for film in reported],
         "decisions": tmp_path / "report/audit.json",
     }
     step.run(settings, **files)

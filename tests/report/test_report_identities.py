@@ -101,16 +101,16 @@ def test_association_by_itself_is_scored_against_the_users_own_table() -> None:
         for name in names
     ]
     annotated = {(name, track): ("anna", "ben", "")[track] for name in names for track in range(3)}
-    alike = {(name, track): ("p1", "p0", "")[track] for name in names for track in range(3)} | {("c0", 3): "p7"}
-    found = score_against(seen, annotated, alike)
+    similar = {(name, track): ("p1", "p0", "")[track] for name in names for track in range(3)} | {("c0", 3): "p7"}
+    found = score_against(seen, annotated, similar)
     assert (found["accuracy"], found["precision"], found["idf1"], found["reason"]) == (1.0, 1.0, 1.0, None)
     assert (found["pairs"], found["detections"]) == (2 * 3 * FRAMES, 2 * 3 * FRAMES)
     # Ben is missing in one camera, and a poster there has his identity.
-    wrong = alike | {("c2", 1): "", ("c2", 2): "p0"}
+    wrong = similar | {("c2", 1): "", ("c2", 2): "p0"}
     found = score_against(seen, annotated, wrong)
     assert found["accuracy"] == pytest.approx((3 + 1) / 6)
     assert found["precision"] == pytest.approx((3 + 1) / 6)
-    assert score_against([], annotated, alike)["reason"] == "there are no detections"
+    assert score_against([], annotated, similar)["reason"] == "there are no detections"
 
 
 def test_cameras_overlap_as_the_papers_table_measures_it() -> None:

@@ -78,8 +78,8 @@ def opened(page: Path, *arguments: str, script: str = "") -> tuple[str, str]:
 def test_whom_association_left_out_stands_on_the_page_with_what_takes_them_in(reported: Path) -> None:
     text = (reported / "report/index.html").read_text(encoding="utf-8")
     part = text.split("<h2>Left out</h2>")[1].split("<h2>")[0]
-    for told in ("r0", "2.5 s", "left, right", "it has no &lt;depth&gt;", "left\t3\tp0\nright\t1\tp0"):
-        assert told in part
+    for output in ("r0", "2.5 s", "left, right", "it has no &lt;depth&gt;", "left\t3\tp0\nright\t1\tp0"):
+        assert output in part
     assert sections.rejected_people_table([]) == ""
 
 
@@ -169,11 +169,11 @@ UNSEEN = values(psnr=20.0, ssim=0.7, psnr_seen=26.0, psnr_unseen=12.0, share_see
     ],
 )
 def test_the_judgement_names_what_limits_and_what_would_help(pictures: dict, limits: str, helps: str) -> None:
-    said = quality_summary(scored(pictures, pictures))
-    assert limits in said
-    assert helps in said
-    assert "21 mm" in said
-    assert ("61%" in said) == (pictures["psnr"]["value"] is None)
+    messages = quality_summary(scored(pictures, pictures))
+    assert limits in messages
+    assert helps in messages
+    assert "21 mm" in messages
+    assert ("61%" in messages) == (pictures["psnr"]["value"] is None)
 
 
 @pytest.mark.parametrize("gained", [0.0, 0.3])
@@ -224,8 +224,8 @@ def test_nothing_is_cut_on_a_phone(reported: Path) -> None:
 @pytest.mark.browser
 @pytest.mark.parametrize("width", [360, 1280])
 def test_nothing_is_wider_than_the_window(reported: Path, width: int) -> None:
-    told = "document.title = document.documentElement.scrollWidth + ' of ' + window.innerWidth;"
-    document, _ = opened(reported / "report/index.html", f"--window-size={width},800", script=told)
+    output = "document.title = document.documentElement.scrollWidth + ' of ' + window.innerWidth;"
+    document, _ = opened(reported / "report/index.html", f"--window-size={width},800", script=output)
     inner, outer = map(int, re.search(r"<title>(\d+) of (\d+)</title>", document).groups())
     assert inner <= outer, "a phone must not scroll sideways"
 
@@ -290,19 +290,19 @@ def test_coverage_is_what_the_survey_measured() -> None:
     assert sections.coverage_table([{}]) == ""
 
 
-def test_a_budget_is_told_beside_what_its_jobs_took() -> None:
+def test_a_budget_is_reported_beside_what_its_jobs_took() -> None:
     total = {"count": 3.0, "seconds": 400.0, "cpu_seconds": 361.0, "peak_memory_mb": 900.0}
     spent = {"reason": None, "total": total, "stages": {"render": total}}
     budget = {"minutes": 5.0, "preset": "look", "predicted_s": 120, "low_s": 96, "high_s": 150, "work_s": 200}
     budget["more"] = "the defaults would take 5 min for 0.9 dB more"
-    told = sections.cost_and_quality({"pictures": {}}, spent, budget)
-    assert "A budget of 5 min chose look: predicted 2 min 00 s from nothing (1 min 36 s to 2 min 30 s)." in told
-    assert "predicted to take 3 min 20 s of processor time and took 6 min 01 s." in told
-    assert "The defaults would take 5 min for 0.9 dB more." in told
+    output = sections.cost_and_quality({"pictures": {}}, spent, budget)
+    assert "A budget of 5 min chose look: predicted 2 min 00 s from nothing (1 min 36 s to 2 min 30 s)." in output
+    assert "predicted to take 3 min 20 s of processor time and took 6 min 01 s." in output
+    assert "The defaults would take 5 min for 0.9 dB more." in output
     assert "budget" not in sections.cost_and_quality({"pictures": {}}, spent, {})
 
 
-def test_warnings_are_told_once_with_their_step(tmp_path: Path) -> None:
+def test_warnings_appear_once_with_their_step(tmp_path: Path) -> None:
     write_text(tmp_path / "people/fit/p0.log", "fine\nwarning: one\nwarning: one\n")
     write_text(tmp_path / "plates/clean/cam1.log", "warning: two\na warning: is no warning\n")
     write_text(tmp_path / "people/first/associate.log", "warning: three for 1.7 s\n")
@@ -346,18 +346,18 @@ def test_in_how_many_frames_somebody_is_there_stands_beside_how_many_were_measur
 CONTRADICTED = {"cameras": ["cam1", "<b>"], "off_deg": 2.37, "off_sigmas": 4.8, "believed": False}
 
 
-def said(edges: dict[str, Any] | None) -> str:
+def messages(edges: dict[str, Any] | None) -> str:
     return tables.cameras_table({} if edges is None else {"edges": edges}, "sheet.png").split("<img")[0]
 
 
 def test_what_the_room_s_edges_say_stands_before_and_after() -> None:
-    moved = said({**CONTRADICTED, "believed": True, "off_after_deg": 0.19, "between_deg": 2.56})
+    moved = messages({**CONTRADICTED, "believed": True, "off_after_deg": 0.19, "between_deg": 2.56})
     assert "contradicted the rotation between cam1 and &lt;b&gt; by 2.4°; after refinement by 0.2°" in moved
     assert "±2.6° (95 %)" in moved
-    stayed = said(CONTRADICTED)
+    stayed = messages(CONTRADICTED)
     assert "2.4°, 4.8 of their" in stayed
     assert "no camera was refined" in stayed
-    assert "straight edges" not in said(None)
+    assert "straight edges" not in messages(None)
 
 
 # ---- With strict, a run in which any step warned ends with all the warnings as one error ----

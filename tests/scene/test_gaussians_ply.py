@@ -101,9 +101,9 @@ def test_a_further_property_is_named_and_changes_nothing(tmp_path: Path, capsys:
     write_ply(tmp_path / "a.ply", gaussians)
     with_column(tmp_path / "a.ply", "confidence", np.full(4, np.nan))
     assert_equal(read_ply(tmp_path / "a.ply"), gaussians)
-    told = capsys.readouterr().out.splitlines()
-    assert len(told) == 1
-    assert "a.ply: confidence is not used" in told[0]
+    reported = capsys.readouterr().out.splitlines()
+    assert len(reported) == 1
+    assert "a.ply: confidence is not used" in reported[0]
 
 
 def test_rows_that_are_not_numbers_are_counted_in_one_sentence_and_not_drawn(
@@ -119,8 +119,8 @@ def test_rows_that_are_not_numbers_are_counted_in_one_sentence_and_not_drawn(
     write_ply(tmp_path / "a.ply", gaussians)
     read = read_ply(tmp_path / "a.ply")
     assert_equal(read, gaussians)
-    (told,) = capsys.readouterr().out.splitlines()
-    assert "a.ply: 10 of 300 Gaussians hold a value that is not a number" in told
+    (reported,) = capsys.readouterr().out.splitlines()
+    assert "a.ply: 10 of 300 Gaussians hold a value that is not a number" in reported
     rasteriser = Rasteriser(near_m=0.01, threads=1)
     shown = rasteriser.forward(read, view).rgb
     assert 7 <= rasteriser.refused <= 10, "colours are looked at in view only"

@@ -38,10 +38,10 @@ def test_threads_at_once_give_the_bytes_of_one_that_does_all_shares(root: Path) 
         stdout=subprocess.PIPE,
         check=True,
     )
-    told = json.loads(done.stdout)
-    assert told["threads"] == 3
-    assert told["checksums"] == [checksums(n) for n in (1, 2, 3)]
-    assert told["checksums"][0] != told["checksums"][2], "the shares make no difference here"
+    reported = json.loads(done.stdout)
+    assert reported["threads"] == 3
+    assert reported["checksums"] == [checksums(n) for n in (1, 2, 3)]
+    assert reported["checksums"][0] != reported["checksums"][2], "the shares make no difference here"
 
 
 if __name__ == "__main__":

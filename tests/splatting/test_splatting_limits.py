@@ -71,9 +71,9 @@ def test_a_degenerate_gaussian_gives_finite_images_and_gradients(changes: dict, 
 def test_side_outputs_of_a_poisoned_and_degenerate_set_are_finite(back_end) -> None:
     bad = [one(**changes) for changes in [*POISON.values(), *DEGENERATE.values()]]
     rendering = back_end().forward(concatenate([room(300, 2), *bad]), view_for(back_end), normals=True)
-    asked_for = {name: value for name, value in vars(rendering).items() if value is not None}
-    assert {"rgb", "alpha", "normals"} <= set(asked_for)
-    for name, value in asked_for.items():
+    requested_size = {name: value for name, value in vars(rendering).items() if value is not None}
+    assert {"rgb", "alpha", "normals"} <= set(requested_size)
+    for name, value in requested_size.items():
         assert np.isfinite(value).all(), name
     length = np.linalg.norm(rendering.normals, axis=2)
     assert ((abs(length - 1) < 1e-5) | (length == 0)).all()

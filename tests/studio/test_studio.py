@@ -222,7 +222,7 @@ def test_the_same_description_gives_the_same_bytes(plain: Path, tmp_path: Path):
 # ---- options ----
 
 
-def test_people_cameras_and_arc_are_as_many_as_asked(tmp_path: Path):
+def test_people_cameras_and_arc_are_as_many_as_requested(tmp_path: Path):
     folder = film(
         tmp_path,
         frames=1,
@@ -434,7 +434,7 @@ def test_calibration_is_read_back_exactly_in_every_format(tmp_path: Path, form: 
         np.testing.assert_allclose(read.distortion[:4], lens.distortion[:4], atol=1e-12)
 
 
-def test_perturbed_calibration_is_off_by_what_was_asked_and_only_for_training_cameras(tmp_path: Path):
+def test_perturbed_calibration_is_off_by_the_requested_error_and_only_for_training_cameras(tmp_path: Path):
     d = read_description(
         described(
             tmp_path,
@@ -443,16 +443,16 @@ def test_perturbed_calibration_is_off_by_what_was_asked_and_only_for_training_ca
         )
     )
     true = rig.true_lenses(d, rig.cameras(d))
-    told = rig.calibrated_lenses(d, true)
+    reported = rig.calibrated_lenses(d, true)
     angles, shifts = [], []
-    for a, b in zip(true, told):
+    for a, b in zip(true, reported):
         relative = a.camera_from_world[:3, :3] @ b.camera_from_world[:3, :3].T
         angles.append(np.degrees(np.arccos(np.clip((np.trace(relative) - 1) / 2, -1, 1))))
         centres = [-x.camera_from_world[:3, :3].T @ x.camera_from_world[:3, 3] for x in (a, b)]
         shifts.append(np.linalg.norm(centres[0] - centres[1]))
     assert np.sqrt(np.mean(np.square(angles[:8])) / 3) == pytest.approx(0.5, rel=0.4)
     assert np.sqrt(np.mean(np.square(shifts[:8])) / 3) == pytest.approx(0.02, rel=0.4)
-    assert told[8:] == true[8:]
+    assert reported[8:] == true[8:]
 
 
 # ---- the description ----

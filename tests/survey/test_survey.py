@@ -132,8 +132,8 @@ class TestStep:
         found = read_decisions(files["decisions"])
         assert list(found) == [effect.name for effect in EFFECTS]
         assert all(d.reason and d.statistic and d.calibration == "uncalibrated" for d in found.values())
-        told = {"people": "on", "view_synthesis": "on", "closed_path": "on", "exposure": "off"}
-        assert {effect: found[effect].verdict for effect in told} == told
+        reported = {"people": "on", "view_synthesis": "on", "closed_path": "on", "exposure": "off"}
+        assert {effect: found[effect].verdict for effect in reported} == reported
         assert "report/audit.json" in found["injection"].reason
         assert found["view_synthesis"].used_by
         assert not found["defocus"].used_by

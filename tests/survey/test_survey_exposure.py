@@ -159,7 +159,9 @@ def test_people_seen_by_keypoints_are_left_out(tmp_path: Path) -> None:
     body = np.zeros((3, 25, 3))
     body[:, :, 0], body[:, :, 1], body[:, :, 2] = np.linspace(14, 82, 25), np.tile([12, 70], 13)[:25], 0.9
     found = Detections("c0", "body_25", np.arange(3), np.zeros(3, int), body)
-    blind, told = (brightness_over_time(tmp_path / "a.mkv", view.camera, 3, who, view, 480) for who in (None, found))
+    blind, reported = (
+        brightness_over_time(tmp_path / "a.mkv", view.camera, 3, who, view, 480) for who in (None, found)
+    )
     assert blind is not None
     assert abs(blind - 1).max() > 0.1
-    assert told is None or abs(told - 1).max() < 0.02
+    assert reported is None or abs(reported - 1).max() < 0.02

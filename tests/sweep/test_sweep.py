@@ -116,8 +116,19 @@ def run_rows(
     table, records = write_table(tmp_path / "t.tsv", rows), []
     for name, *_ in rows:
         record, base = tmp_path / f"{name}.json", [] if name == BASE else [tmp_path / "base.json"]
-        told = (json.dumps(DEFAULTS), "s", table, base, PRESETS, ROOT / "Snakefile", 2, 5.0, record, tmp_path / "runs")
-        sweep_row.run(name, *told)
+        reported = (
+            json.dumps(DEFAULTS),
+            "s",
+            table,
+            base,
+            PRESETS,
+            ROOT / "Snakefile",
+            2,
+            5.0,
+            record,
+            tmp_path / "runs",
+        )
+        sweep_row.run(name, *reported)
         records.append(json.loads(record.read_text()))
     return records, planted
 

@@ -113,15 +113,15 @@ def test_detail_is_of_the_sharpest_photo_and_brightness_of_the_nearest_direction
     near[35:55, 60:100] = True
     near &= blend_photos(view, [beside], 3, 0.02, np.radians(15))[1] > 0
 
-    def told(*photos: WarpSource) -> tuple[float, float]:
+    def reported(*photos: WarpSource) -> tuple[float, float]:
         own = blend_photos(view, photos, 3, 0.02, np.radians(15))[0][near].mean(axis=-1)
         return float(np.corrcoef(own, wanted.rgb[near].mean(axis=-1))[0, 1]), float(own.mean())
 
-    assert told(beside)[0] < 0.5
-    sharp, bright = told(beside, across)
+    assert reported(beside)[0] < 0.5
+    sharp, bright = reported(beside, across)
     assert sharp > 0.8
-    assert bright == pytest.approx(told(beside)[1], abs=0.02), "not as dark as the sharper photo"
-    assert told(across, beside) == pytest.approx((sharp, bright), abs=1e-6), "whichever comes first"
+    assert bright == pytest.approx(reported(beside)[1], abs=0.02), "not as dark as the sharper photo"
+    assert reported(across, beside) == pytest.approx((sharp, bright), abs=1e-6), "whichever comes first"
 
 
 def test_what_no_photo_sees_is_a_hole_in_the_mask(photos: list[WarpSource], default_settings: Callable) -> None:

@@ -99,7 +99,7 @@ def files(tmp_path: Path, small: None, default_settings: Callable) -> tuple[dict
     return section, (tmp_path / "path.json", tmp_path / "cameras/images.txt", plates, maps, []), tmp_path
 
 
-def test_no_more_photos_are_asked_for_than_memory_bears(
+def test_no_more_photos_are_requested_than_memory_bears(
     files: tuple, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture
 ) -> None:
     section, common, folder = files
@@ -112,13 +112,13 @@ def test_no_more_photos_are_asked_for_than_memory_bears(
 def test_a_segment_goes_to_the_network_and_comes_back(files: tuple, monkeypatch: pytest.MonkeyPatch) -> None:
     section, common, folder = files
     request.run(load(request.Settings, section, "views"), "00", *common, *NOBODY, folder / "00.request.npz")
-    asked = dict(np.load(folder / "00.request.npz"))
-    assert asked["images_key_frames"].shape == (4, 3, *NETWORK_HW)
-    assert len(asked["w2cs_all"]) == 121
+    requested = dict(np.load(folder / "00.request.npz"))
+    assert requested["images_key_frames"].shape == (4, 3, *NETWORK_HW)
+    assert len(requested["w2cs_all"]) == 121
     # The hole that people left in the plate is masked, and its loud colour does not seed the film.
-    hole = asked["mask_key_frames"][0, 0] == 0
+    hole = requested["mask_key_frames"][0, 0] == 0
     assert hole[36:44, 70:80].all()
-    assert asked["images_key_frames"][0][:, 38, 75].max() < 0.95
+    assert requested["images_key_frames"][0][:, 38, 75].max() < 0.95
 
     made: list[Path] = []
 
@@ -232,11 +232,11 @@ def test_key_frames_with_people_show_them_at_their_depth(files: tuple, someone: 
     settings = load(request.Settings, {**section, "key_frames": "first_frames"}, "views")
     # The network's own check warps every key frame into the others: bodies agree with each other in depth.
     request.run(settings, "00", *common, videos, masks, [fit], body, "planes", folder / "00.request.npz")
-    asked = dict(np.load(folder / "00.request.npz"))
+    requested = dict(np.load(folder / "00.request.npz"))
     photos = first_pictures(
         read_photos(*common[1:], settings.depth_jump), videos, masks, standing, Factors(), settings.depth_jump
     )
-    reds = [(p[0] > 0.5) & (p[1] < -0.5) for p in asked["images_key_frames"]]
+    reds = [(p[0] > 0.5) & (p[1] < -0.5) for p in requested["images_key_frames"]]
     assert all(0.01 < red.mean() < 0.3 for red in reds)
     for photo, (camera, _, room_m) in zip(photos, room_views(WH)):
         bodies, clothed = standing.depth_m(camera), around(standing, camera, 3)

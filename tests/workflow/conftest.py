@@ -47,11 +47,11 @@ def planner() -> subprocess.Popen:
 def planned(arguments: list[str], folder: Path, environment: dict[str, str]) -> subprocess.CompletedProcess:
     """What ``python -m snakemake`` with these arguments does and prints, in a fraction of its time."""
     with tempfile.NamedTemporaryFile("r", suffix=".txt") as printed:
-        asked = {"arguments": arguments, "folder": str(folder), "environment": environment, "printed": printed.name}
+        requested = {"arguments": arguments, "folder": str(folder), "environment": environment, "printed": printed.name}
         process = planner()
         assert process.stdin is not None
         assert process.stdout is not None
-        process.stdin.write(json.dumps(asked) + "\n")
+        process.stdin.write(json.dumps(requested) + "\n")
         process.stdin.flush()
         status = int(process.stdout.readline())
         return subprocess.CompletedProcess(arguments, status, printed.read())

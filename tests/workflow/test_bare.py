@@ -51,8 +51,8 @@ def pythons_own() -> set[str]:
 
 
 def test_nothing_is_loaded_that_the_wheels_and_python_do_not_bring(finished: House) -> None:
-    told = processes(finished)
-    steps = {entry["command"][1] for entry in told if entry["command"][0].endswith("studiorecon/__main__.py")}
+    reported = processes(finished)
+    steps = {entry["command"][1] for entry in reported if entry["command"][0].endswith("studiorecon/__main__.py")}
     assert steps >= {
         "studio.capture",
         "capture.frames",
@@ -69,13 +69,13 @@ def test_nothing_is_loaded_that_the_wheels_and_python_do_not_bring(finished: Hou
     )
     own = pythons_own()
     strangers: dict[str, set[str]] = {}
-    for entry in told:
+    for entry in reported:
         for path in entry["objects"]:
             if not path.startswith(inside) and not RUNTIME.fullmatch(Path(path).name) and Path(path).name not in own:
                 strangers.setdefault(path, set()).add(" ".join(entry["command"][1:2]))
     assert not strangers, "shared objects from outside the environment, and who loads them"
 
 
-def test_nothing_is_asked_of_any_other_machine(finished: House) -> None:
-    asked = {" ".join(entry["command"][:2]): entry["reached"] for entry in processes(finished) if entry["reached"]}
-    assert not asked
+def test_nothing_is_requested_from_any_other_machine(finished: House) -> None:
+    requested = {" ".join(entry["command"][:2]): entry["reached"] for entry in processes(finished) if entry["reached"]}
+    assert not requested

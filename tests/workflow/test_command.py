@@ -107,9 +107,9 @@ def test_bad_input_is_a_sentence(
     monkeypatch.chdir(tmp_path)
     (tmp_path / "film.mp4").touch()
     assert command.main(words) == 1
-    said = capsys.readouterr().err
-    assert sentence in said
-    assert said.count("\n") == 1
+    messages = capsys.readouterr().err
+    assert sentence in messages
+    assert messages.count("\n") == 1
 
 
 def test_without_a_word_the_command_shows_its_help(capsys: pytest.CaptureFixture[str]) -> None:
@@ -245,12 +245,12 @@ def test_the_doctor_s_first_words_need_no_run(tmp_path: Path) -> None:
     (tmp_path / "videos").mkdir()
     for name, grey in (("a", 200), ("b", 40)):
         write_watchable(tmp_path / f"videos/{name}.mp4", [np.full((48, 64, 3), grey, np.uint8)] * 3, 30.0)
-    told = list(command.quick_check(tmp_path))
-    assert told[0] == "calibration: none, so the keypoints of people give the cameras"
+    reported = list(command.quick_check(tmp_path))
+    assert reported[0] == "calibration: none, so the keypoints of people give the cameras"
     assert any(
         t.startswith("camera a: 64×48, 30 fps, 3 frames, mean grey 0.7") and "the detector finds people" in t
-        for t in told
+        for t in reported
     )
-    assert any("the exposures differ" in t for t in told)
+    assert any("the exposures differ" in t for t in reported)
     (tmp_path / "videos/b.mp4").write_bytes(b"no video")
     assert any(t.startswith("camera b: ") and "cannot be read as a video" in t for t in command.quick_check(tmp_path))

@@ -118,11 +118,11 @@ def steps() -> dict[str, str]:
     """Rule → its step."""
     text = "\n".join(path.read_text() for path in sorted((ROOT / "workflow/rules").glob("*.smk")))
     blocks = re.split(r"\n(?= *(?:(?:use )?rule|checkpoint) )", text)
-    told = (
+    reported = (
         (re.search(r"(?:rule|checkpoint) (\w+):", block), re.search(r"command\(\"(\w+\.\w+)\"\)", block))
         for block in blocks
     )
-    found = {rule.group(1): step.group(1) for rule, step in told if rule and step}
+    found = {rule.group(1): step.group(1) for rule, step in reported if rule and step}
     again = re.findall(r"use rule (\w+) as (\w+) with:", text)
     return found | {rule: found[same] for same, rule in again}
 
@@ -171,9 +171,9 @@ def wrong_of(house: House, values: Mapping[str, Any]) -> list[str]:
     rules = steps()
     present = {line.split("\t")[2] for line in house.snakemake("--summary").stdout.splitlines() if "\t" in line}
     wrong = []
-    for path, told in changed_rules(house, values).items():
-        if told != (should := expected(path, rules, present)):
-            wrong.append(f"{path}: re-runs {told and sorted(told)}, is read by {sorted(should)}")
+    for path, reported in changed_rules(house, values).items():
+        if reported != (should := expected(path, rules, present)):
+            wrong.append(f"{path}: re-runs {reported and sorted(reported)}, is read by {sorted(should)}")
     return wrong
 
 

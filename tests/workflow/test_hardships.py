@@ -165,9 +165,9 @@ def test_with_too_little_memory_every_step_says_so_or_works(finished: House, tmp
         if job.step == "studio.capture":
             continue
         ended = tried(finished, folder, job, POOR.replace("{kilobytes}", str(megabytes * 1000)), limit_s=60)
-        told = "there is not enough memory (" in ended.last or "MB of memory (ulimit -v)" in ended.last
+        reported = "there is not enough memory (" in ended.last or "MB of memory (ulimit -v)" in ended.last
         given_up = ended.status < 0 or any(words in ended.text for words in ENDED_BY_LIBRARIES)
-        assert ended.status == 0 or told or given_up, (job.step, ended.text[-2000:])
+        assert ended.status == 0 or reported or given_up, (job.step, ended.text[-2000:])
         assert not unchanged(before, digests(folder / "results")), job.step
 
 

@@ -65,11 +65,11 @@ def test_a_notebook_runs(path: Path, finished: House, tmp_path: Path, monkeypatc
     notebook = nbformat.read(path, as_version=4)
     assert all(not cell.outputs for cell in notebook.cells if cell.cell_type == "code"), "kept without outputs"
     NotebookClient(notebook, timeout=300, resources={"metadata": {"path": str(own)}}).execute()
-    said = printed(notebook)
+    messages = printed(notebook)
     if path.stem == "finished_scene":
-        assert "cameras," in said
-        assert said.count("m/s in the median") == 2
+        assert "cameras," in messages
+        assert messages.count("m/s in the median") == 2
         assert any("image/jpeg" in out.get("data", {}) for c in notebook.cells for out in c.get("outputs", []))
     else:
-        assert "joints placed" in said
-        assert "put back to" in said
+        assert "joints placed" in messages
+        assert "put back to" in messages

@@ -61,13 +61,13 @@ def test_every_job_that_computes_on_a_gpu_asks_for_one(jobs: dict[str, str]) -> 
 
 
 def test_jobs_ask_for_the_memory_that_the_preset_needs(jobs: dict[str, str]) -> None:
-    asked = {rule: int(m.group(1)) for rule, job in jobs.items() if (m := re.search(r"mem_mb=(\d+)", job))}
+    requested = {rule: int(m.group(1)) for rule, job in jobs.items() if (m := re.search(r"mem_mb=(\d+)", job))}
     # 4 photos, 480 views and 240 refined ones at 1280×720 with four float32 numbers a pixel.
-    assert asked["background_half"] == ROOM_MB + round(724 * 1280 * 720 * 16 / 1e6)
+    assert requested["background_half"] == ROOM_MB + round(724 * 1280 * 720 * 16 / 1e6)
 
 
 @pytest.mark.parametrize(
-    ("changed", "said"),
+    ("changed", "messages"),
     [
         ({"calibration": {"source": "people"}, "depth": {"reference": "planes"}}, "set calibration.source to one"),
         ({"depth": {"source": "pi3"}}, "needs the depth of every frame"),
@@ -80,12 +80,14 @@ def test_jobs_ask_for_the_memory_that_the_preset_needs(jobs: dict[str, str]) -> 
     ],
     ids=["first moment", "every frame", "second look", "depth", "people in views"],
 )
-def test_a_setting_that_lacks_what_it_reads_is_refused(house: House, videos: Path, changed: dict, said: str) -> None:
+def test_a_setting_that_lacks_what_it_reads_is_refused(
+    house: House, videos: Path, changed: dict, messages: str
+) -> None:
     refused = House(house.folder, str(videos)).snakemake(
         "--dry-run", "--configfile", *PRESETS, house.overlay(**changed), check=False
     )
     assert refused.returncode != 0
-    assert said in refused.stdout
+    assert messages in refused.stdout
 
 
 def test_a_film_with_a_stranger_plans_the_photos_way_through_its_network(house: House, tmp_path: Path) -> None:

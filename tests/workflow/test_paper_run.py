@@ -98,11 +98,11 @@ def test_the_papers_presets_run_whole_on_files_of_every_network(ran: tuple[House
     planned = house.plan(*settings)
     assert {"tracks_bodies": 4, "depth_refine": 4}.items() <= planned.items()
     assert "depth_network" not in planned
-    said = house.snakemake("--cores", "2", *settings).stdout
+    messages = house.snakemake("--cores", "2", *settings).stdout
     assert house.plan(*settings) == {}, "nothing is left to do"
 
     assert {"p0", "p1"} == {p.stem for p in (results / "people").glob("p*.npz")}
-    assert said.count("(s*") == 2, "every person has a size of their own"
+    assert messages.count("(s*") == 2, "every person has a size of their own"
     found = json.loads((results / "report/metrics.json").read_text())
     assert found["bodies"]["mpjpe_world_mm"] < 60, "bodies of the network's files are where people were"
     # The enhancer's films came from elsewhere, the room and the people did not.
@@ -143,9 +143,9 @@ def test_the_papers_presets_run_whole_with_a_stand_in_of_every_network_that_can_
     wanted = {"calibration_network": 1, "depth_first": 4, "people_lift": 4, "body_plain": 1}
     wanted |= {"background_half": 1, "background_refined": 1}
     assert wanted.items() <= planned.items()
-    said = house.snakemake("--cores", "2", *settings).stdout
-    assert "LPIPS is off" not in said
-    assert "pelvises lifted" in said
+    messages = house.snakemake("--cores", "2", *settings).stdout
+    assert "LPIPS is off" not in messages
+    assert "pelvises lifted" in messages
     assert house.plan(*settings) == {}, "nothing is left to do"
     fits = [read_person(path) for path in sorted((results / "people").glob("p*.npz"))]
     assert [person.name for person in fits] == ["p0", "p1"]

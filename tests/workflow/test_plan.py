@@ -26,12 +26,12 @@ def test_a_users_dataset_is_planned_per_camera_and_segment(house: House, dataset
 def test_a_camera_that_was_started_early_is_read_from_its_own_frame_on(house: House, dataset: Path) -> None:
     (dataset / "capture.yaml").write_text("starts: {right: 13}\nframes: {first: 4, count: 20}\n")
     there, films = on(house, dataset), [f"results/{dataset.name}/capture/{c}.mkv" for c in ("left", "right")]
-    told = there.snakemake(
+    reported = there.snakemake(
         "--dry-run", "--printshellcmds", "--cores", "1", *films, f"results/{dataset.name}/calibration/doctor.html"
     ).stdout
     (dataset / "capture.yaml").unlink()
     for words in ("""--starts '{"back": 0.0, "left": 0.0, "right": 13.0}'""", "--first-frame 4", "--frame-count 20"):
-        assert words in told
+        assert words in reported
 
 
 def test_an_empty_room_has_no_people_mask_or_human_job(house: House, dataset: Path) -> None:
@@ -56,18 +56,18 @@ def test_videos_and_a_calibration_are_enough(house: House, dataset: Path) -> Non
     assert "detect_people" not in on(house, dataset).plan(), "keypoint files come first"
 
 
-def test_a_network_of_one_s_own_is_an_input_of_whoever_looks_at_people(house: House, dataset: Path) -> None:
+def test_a_network_of_one_s_own_is_an_input_of_the_steps_that_detect_people(house: House, dataset: Path) -> None:
     network = dataset / "mine.onnx"
     network.write_bytes(b"")
     (dataset / "keypoints").rename(dataset / "hidden")
     there = on(house, dataset)
     wanted = ("--configfile", there.overlay(detect={"network": str(network), "network_layout": "halpe26"}))
     found = [f"results/{dataset.name}/detect/found/{camera}.npz" for camera in ("left", "right")]
-    told = there.snakemake("--dry-run", "--printshellcmds", "--cores", "1", *found, *wanted).stdout
+    reported = there.snakemake("--dry-run", "--printshellcmds", "--cores", "1", *found, *wanted).stdout
     network.unlink()
     refused = there.snakemake("--dry-run", *wanted, check=False)
     (dataset / "hidden").rename(dataset / "keypoints")
-    assert told.count(f"--second {network}") == told.count("--layout halpe26") == 2
+    assert reported.count(f"--second {network}") == reported.count("--layout halpe26") == 2
     assert f"detect.network names {network}, which does not exist" in refused.stdout
 
 
@@ -145,26 +145,34 @@ def test_what_the_command_line_says_is_read_as_what_it_is(house: House, dataset:
     overlay.write_text(
         "survey: {force: {view_synthesis: off, exposure: off, view_dependent_colour: off, moving_shadows: off}}\n"
     )
-    said = [f"dataset={dataset}", "detect={min_confidence: 0.2}", "render={shots: {extra: {kind: orbit}}}"]
-    told = (
+    messages = [f"dataset={dataset}", "detect={min_confidence: 0.2}", "render={shots: {extra: {kind: orbit}}}"]
+    reported = (
         House(house.folder, "")
         .snakemake(
-            "--dry-run", "--cores", "1", "--printshellcmds", *wanted, "--configfile", str(overlay), "--config", *said
+            "--dry-run",
+            "--cores",
+            "1",
+            "--printshellcmds",
+            *wanted,
+            "--configfile",
+            str(overlay),
+            "--config",
+            *messages,
         )
         .stdout
     )
-    assert "--shot extra" in told
-    assert '"min_confidence": 0.2' in told
-    assert "views_synthesize" not in told
+    assert "--shot extra" in reported
+    assert '"min_confidence": 0.2' in reported
+    assert "views_synthesize" not in reported
 
 
-def test_a_captures_calibration_is_judged_on_request(house: House, dataset: Path) -> None:
-    asked = on(house, dataset).plan("plan")
-    assert asked["placement_advise"] == 1
-    assert not [rule for rule in asked if rule.split("_")[0] in ("depth", "background", "humans", "render")]
+def test_a_captures_calibration_is_checked_on_request(house: House, dataset: Path) -> None:
+    requested = on(house, dataset).plan("plan")
+    assert requested["placement_advise"] == 1
+    assert not [rule for rule in requested if rule.split("_")[0] in ("depth", "background", "humans", "render")]
 
 
-def test_films_are_taken_apart_into_exr_when_asked(house: House, dataset: Path) -> None:
+def test_films_are_taken_apart_into_exr_on_request(house: House, dataset: Path) -> None:
     there = on(house, dataset)
     plan = there.plan("--configfile", there.overlay(render={"exr": True}))
     assert plan["render_layers"] == plan["enhance_shot"] >= 1
@@ -195,13 +203,13 @@ def test_a_first_look_makes_one_film_and_measures_nothing(house: House, dataset:
 def test_a_budget_chooses_the_preset_and_leaves_what_the_user_said(house: House) -> None:
     film = "results/tiny/render/orbit.mkv"
     arguments = ("--dry-run", "--printshellcmds", "--cores", "2", film, "--config", f"dataset={house.dataset}")
-    told = replace(house, dataset="").snakemake(*arguments, "budget_min=0.01", "depth={primitives: 44}").stdout
-    assert "budget of 0.01 min: look, about" in told
-    assert "no preset is quicker" in told
+    reported = replace(house, dataset="").snakemake(*arguments, "budget_min=0.01", "depth={primitives: 44}").stdout
+    assert "budget of 0.01 min: look, about" in reported
+    assert "no preset is quicker" in reported
     look = read_preset("look")
-    assert f'"iterations": {look["background"]["training"]["iterations"]}' in told
-    assert f'"sweep_width": {look["depth"]["sweep_width"]}' in told
-    assert '"primitives": 44' in told
+    assert f'"iterations": {look["background"]["training"]["iterations"]}' in reported
+    assert f'"sweep_width": {look["depth"]["sweep_width"]}' in reported
+    assert '"primitives": 44' in reported
     assert (house.folder / "timings" / "pace.json").is_file()
     without = replace(house, dataset="").snakemake(*arguments).stdout
     assert "budget" not in without

@@ -62,16 +62,16 @@ def test_no_job_needed_more_memory_than_its_rule_asks_for(finished: House) -> No
     asks = r"(?:rule|checkpoint) (\w+):(?:(?!\n *(?:rule|checkpoint) ).)*?mem_mb=memory\((.*?)\),\n"
     sizes = {"room_mb(PLAN, config)": ROOM_MB, "fit_mb(config)": 1000}
     rules = "\n".join(path.read_text() for path in sorted((finished.folder / "workflow/rules").glob("*.smk")))
-    asked = {
+    requested = {
         rule: sizes.get(size) or int(size.rpartition(" else ")[2]) for rule, size in re.findall(asks, rules, re.DOTALL)
     }
     stages = cost(finished.folder / "timings/tiny")["stages"]
     measured = {
         f"{stage}_{step}": used["peak_memory_mb"] for stage in stages for step, used in stages[stage]["rules"].items()
     }
-    peaks = {rule: peak for rule, peak in measured.items() if peak and rule in asked}
+    peaks = {rule: peak for rule, peak in measured.items() if peak and rule in requested}
     assert {"background_train", "humans_train", "render_shot", "people_fit"} <= set(peaks)
-    assert {rule: peak for rule, peak in peaks.items() if peak > asked[rule]} == {}
+    assert {rule: peak for rule, peak in peaks.items() if peak > requested[rule]} == {}
 
 
 def test_nothing_is_left_to_do(finished: House) -> None:
@@ -82,7 +82,7 @@ def test_a_folder_that_is_moved_stays_finished(finished: House, tmp_path: Path) 
     assert another(finished, tmp_path / "elsewhere").plan() == {}
 
 
-def test_strict_ends_a_run_that_warned_with_all_it_was_told(finished: House) -> None:
+def test_strict_ends_a_run_that_warned_with_all_warnings(finished: House) -> None:
     strict = finished.overlay(strict=True)
     assert finished.plan("--configfile", strict) == {"report_strict": 1}
     planted = finished.folder / "logs/tiny/people/planted.log"

@@ -88,10 +88,10 @@ def named(results: Path) -> dict[str, str]:
 def test_a_camera_that_sees_nobody_still_serves_the_room(studio: Path, tmp_path: Path) -> None:
     house = filmed(studio, tmp_path, lambda camera, _: camera != "cam3")
     plates = [f"plates/{camera}.png" for camera in CAMERAS]
-    results, told = run(house, "people/people.tsv", "views/path.json", "background/scene.ply", *plates)
+    results, reported = run(house, "people/people.tsv", "views/path.json", "background/scene.ply", *plates)
     assert named(results) == {"p0": "cam1,cam2,cam4", "p1": "cam1,cam2,cam4"}
-    assert told.count("warning: camera cam3 sees nobody: it shows only the room") == 1
-    assert "identities come from cam1, cam2, cam4" in told
+    assert reported.count("warning: camera cam3 sees nobody: it shows only the room") == 1
+    assert "identities come from cam1, cam2, cam4" in reported
     # Its pose is as given, its plate is whole, and views of the room begin and end there.
     given = read_lenses(results / "calibration/calibration.json")["cam3"].camera_from_world
     used = {c.name: c.camera_from_world for c in read_model(results / "cameras")}["cam3"]
@@ -99,7 +99,7 @@ def test_a_camera_that_sees_nobody_still_serves_the_room(studio: Path, tmp_path:
     plate = cv2.imread(str(results / "plates/cam3.png"), cv2.IMREAD_UNCHANGED)
     assert plate is not None
     assert (plate[..., 3] > 0).mean() > 0.99
-    assert "(cam2 to cam3)" in told
+    assert "(cam2 to cam3)" in reported
     doctor = json.loads((results / "calibration/doctor.json").read_text())
     assert doctor["verdict"] in ("good", "check"), doctor["advice"]
     assert any(sentence.startswith("camera cam3 sees nobody") for sentence in doctor["advice"])
@@ -109,20 +109,20 @@ def test_a_camera_that_sees_nobody_still_serves_the_room(studio: Path, tmp_path:
 @pytest.mark.timeout(1800)
 def test_without_a_calibration_a_camera_that_sees_nobody_is_left_out_by_name(studio: Path, tmp_path: Path) -> None:
     house = filmed(studio, tmp_path, lambda camera, _: camera != "cam3", calibrated=False)
-    results, told = run(house, "people/people.tsv", "views/path.json")
+    results, reported = run(house, "people/people.tsv", "views/path.json")
     assert named(results) == {"p0": "cam1,cam2,cam4", "p1": "cam1,cam2,cam4"}
-    assert "warning: camera cam3 is left out of this reconstruction: it sees nobody" in told
+    assert "warning: camera cam3 is left out of this reconstruction: it sees nobody" in reported
     assert not list((house.folder / "logs/films").rglob("second_look/cam3.log")), "nobody looks at it again"
 
 
 @pytest.mark.slow
 @pytest.mark.timeout(1800)
-def test_people_whom_one_camera_alone_sees_are_told_and_the_room_is_made(studio: Path, tmp_path: Path) -> None:
+def test_people_whom_one_camera_alone_sees_are_reported_and_the_room_is_made(studio: Path, tmp_path: Path) -> None:
     house = filmed(studio, tmp_path, lambda camera, _: camera == "cam1")
-    results, told = run(house, "people/people.tsv", "background/scene.ply")
+    results, reported = run(house, "people/people.tsv", "background/scene.ply")
     assert named(results) == {}
-    assert "no person is visible in two cameras at once: the calibration is used as given, unchecked" in told
-    assert "no person was identified" in told
+    assert "no person is visible in two cameras at once: the calibration is used as given, unchecked" in reported
+    assert "no person was identified" in reported
     doctor = json.loads((results / "calibration/doctor.json").read_text())
     assert doctor["verdict"] == "cannot tell"
     assert "people are seen by one camera alone" in doctor["advice"][0]

@@ -85,8 +85,8 @@ def surveyed(tmp_path_factory: pytest.TempPathFactory) -> House:
     made(house, [PEOPLE])
     made(house, outputs(house, DECISIONS, *force(house)))
     made(house, [DECISIONS, *(f"results/tiny/survey/{e.artefact.file}" for e in EARLY if e.artefact)])
-    told = [{"effect": "closed_path", "verdict": "off", "detail": {"widest": "01"}}]
-    (house.folder / DECISIONS).write_text(json.dumps({"decisions": told}))
+    reported = [{"effect": "closed_path", "verdict": "off", "detail": {"widest": "01"}}]
+    (house.folder / DECISIONS).write_text(json.dumps({"decisions": reported}))
     made(house, [DECISIONS])
     return house
 

@@ -134,7 +134,7 @@ END = len(FILM)
 
 
 @pytest.mark.parametrize(
-    ("asked", "status", "part"),
+    ("requested", "status", "part"),
     [
         ("bytes=0-", 206, (0, END)),
         ("bytes=0-0", 206, (0, 1)),
@@ -156,14 +156,14 @@ END = len(FILM)
         ("", 200, (0, END)),
     ],
 )
-def test_a_film_is_sought_by_ranges(viewer: Viewer, asked: str, status: int, part: tuple[int, int]) -> None:
-    found, headers, content = answered(viewer, "/TOKEN/enhance/a%20b+%c3%a9.mp4", f"Range: {asked}")
+def test_a_film_is_sought_by_ranges(viewer: Viewer, requested: str, status: int, part: tuple[int, int]) -> None:
+    found, headers, content = answered(viewer, "/TOKEN/enhance/a%20b+%c3%a9.mp4", f"Range: {requested}")
     assert found == status
     assert content == FILM[slice(*part)]
     assert int(headers["Content-Length"]) == len(content)
     assert headers["Accept-Ranges"] == "bytes"
-    told = {206: f"bytes {part[0]}-{part[1] - 1}/{END}", 416: f"bytes */{END}", 200: None}[status]
-    assert headers.get("Content-Range") == told
+    reported = {206: f"bytes {part[0]}-{part[1] - 1}/{END}", 416: f"bytes */{END}", 200: None}[status]
+    assert headers.get("Content-Range") == reported
     assert headers["Content-Type"] == "video/mp4"
 
 
