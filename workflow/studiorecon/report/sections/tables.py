@@ -138,7 +138,7 @@ def measures_table(metrics: Mapping[str, Any]) -> str:
     notes += "".join(
         f"<p class=soft>{html.escape(c['sentence'][:1].upper() + c['sentence'][1:])}.</p>"
         for c in metrics.get("held_out_cameras", ())
-        if c["turned_deg"] or not c["checked"]
+        if c["turned_deg"] or not c["is_verified"]
     )
     columns = [*(_title(version, versions) for version in versions), *(["change"] if len(versions) > 1 else [])]
     table = html.table(["measure", *columns, "measured on"], rows, numeric=range(1, 1 + len(columns)))
