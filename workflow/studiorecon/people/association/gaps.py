@@ -29,8 +29,6 @@ _SPEED_M_S = 0.7
 _MIN_AREA_M2 = 10.0
 # Factor between the bone lengths of one person, measured twice; and of two people: adults differ by 7 %.
 _SIZE = Ratio((1.0, 0.04), (1.0, 0.09), -6, 1)
-# Time at either end whose places are averaged, s: half a step.
-_END_S = 0.4
 # Difference of the colours of one part of the body in one camera, CIELAB: of one person's, and of two people's.
 _COLOUR = Ratio((7.0, 0.7), (28.0, 0.6), -3, 1.5)
 # Ratios within so many nats of 0 are worth a question.
@@ -117,10 +115,9 @@ def _area_m2(groups: Sequence[Group]) -> float:
 
 def _way(first: Group, second: Group, left: int, back: int, fps: float, area_m2: float) -> Term:
     """Term of the distance between the end of the first and the beginning of the second, for the time between them."""
-    reach, gap_s = max(1, round(_END_S * fps)), (back - left) / fps
-    ends = first.centres_m[max(left - reach, 0) : left + 1, :2], second.centres_m[back : back + reach + 1, :2]
-    off_m = float(np.linalg.norm(np.subtract(*(np.nanmedian(end, axis=0) for end in ends))))
-    variance = min((_PLACE_M + _SPEED_M_S * (gap_s + _END_S)) ** 2, area_m2 / (2 * np.pi))
+    gap_s = (back - left) / fps
+    off_m = float(np.linalg.norm(second.centres_m[back, :2] - first.centres_m[left, :2]))
+    variance = min((_PLACE_M + _SPEED_M_S * gap_s) ** 2, area_m2 / (2 * np.pi))
     nats = np.log(area_m2 / (2 * np.pi * variance)) - 0.5 * off_m**2 / variance
     return Term("way", float(np.clip(nats, -12, 5)), f"{off_m:.1f} m in {gap_s:.1f} s")
 
@@ -130,7 +127,8 @@ def _size(first: Bones, second: Bones) -> Term:
     first_m, second_m = ({part: np.median(own, axis=0)[0] for part, own in bones.items()} for bones in (first, second))
     factors = [second_m[part] / length_m for part, length_m in first_m.items() if part in second_m]
     factor = float(np.median(factors)) if factors else float("nan")
-    return Term("size", _SIZE.nats(factor), f"sizes {100 * abs(factor - 1):.0f} % apart")
+    said = f"sizes {100 * abs(factor - 1):.0f} % apart" if factors else "sizes unknown"
+    return Term("size", _SIZE.nats(factor), said)
 
 
 def _worn(apart: Float[np.ndarray, " P"]) -> Term:

@@ -19,12 +19,10 @@ from studiorecon.people.association.group import Group
 from studiorecon.scene.camera import Camera
 from studiorecon.scene.people import Detections
 
-# Tracks with less time of detections than this, seconds, are not grouped; they join where their keypoints fit a group's
-# points.
-_LONG_S = 0.15
 # A camera sees a person in a frame where so many of the stable keypoints agree with the others'.
 _MIN_AGREEING = 3
-# Such a track needs so many comparable keypoints, and must agree so much better with one group than with any other.
+# A track that is not grouped needs so many comparable keypoints, and must agree so much better with one group than with
+# any other.
 _COMPARABLE, _CLEARLY = 6, 0.25
 
 
@@ -97,18 +95,12 @@ def groups_and_returns(compared: TrackComparison, clothes: Clothes | None = None
     if compared.limits.method == "star":
         stars, later = _stars(compared)
         return _with_leftovers([compared.group(members) for members in stars], later, compared), []
-    pairs, moments = compared.pairs, compared.pairs.graph.moments
-    lengths = np.diagonal(moments)
-    long = np.flatnonzero(lengths >= min(max(2.0, _LONG_S * compared.fps), lengths.max(initial=0)))
-    between = np.ix_(long, long)
+    pairs = compared.pairs
     # A person who is always present is not outvoted by false detections in short stretches.
-    affinity = np.nan_to_num(pairs.affinity[between]) * moments[between]
-    found = [
-        _without_strangers(compared.group([pairs.nodes[n] for n in long[chosen]]), compared)
-        for chosen in groups_by_affinity(affinity, pairs.forbidden[between])
-    ]
-    groups = _with_leftovers([g for g in found if g is not None], pairs.nodes, compared)
-    return join_over_gaps(groups, compared.fps, compared.group, clothes)
+    affinity = np.nan_to_num(pairs.affinity) * pairs.graph.moments
+    chosen = groups_by_affinity(affinity, pairs.forbidden)
+    groups = [compared.group([pairs.nodes[n] for n in rows]) for rows in chosen]
+    return join_over_gaps(_with_leftovers(groups, pairs.nodes, compared), compared.fps, compared.group, clothes)
 
 
 def _stars(compared: TrackComparison) -> tuple[list[list[tuple[int, int]]], list[tuple[int, int]]]:
@@ -152,16 +144,6 @@ def _fit(member: tuple[int, int], group: Group, compared: TrackComparison) -> tu
     error = np.linalg.norm(projected - mine.keypoints[..., :2], axis=-1)
     near = comparable & (error < unit_px([camera], agree)[0] * agree.outlier_units)
     return float(near.sum() / max(comparable.sum(), 1)), int(comparable.sum())
-
-
-def _without_strangers(group: Group, compared: TrackComparison) -> Group | None:
-    """The group without tracks that disagree with its points, worst first; None when fewer than two cameras remain."""
-    while len({v for v, _ in group.members}) >= 2:
-        share, worst = min((_fit(m, group, compared)[0], m) for m in group.members)
-        if share >= compared.limits.track_agreement:
-            return group
-        group = compared.group([m for m in group.members if m != worst])
-    return None
 
 
 def _with_leftovers(groups: list[Group], tracks: Sequence[tuple[int, int]], compared: TrackComparison) -> list[Group]:
