@@ -180,6 +180,10 @@ def test_crops_keep_pixels_in_place(body: BodyModel) -> None:
     assert np.allclose(small.project(point)[0] + [left, top], camera.project(point)[0])
     assert box_around(np.full((3, 2), np.nan), np.zeros(camera.hw, bool), camera.wh, 8) is None
     assert not silhouette(np.full((3, 2), np.nan), camera.hw).any()
+    # A vertex next to the camera projects a long way off; the gaps that are closed stay in proportion to the picture.
+    torso = np.stack(np.meshgrid(np.arange(10, 20), np.arange(10, 20)), axis=-1).reshape(-1, 2).astype(float)
+    with_knee = silhouette(np.concatenate([torso, [[3e7, -2e7]]]), (40, 40))
+    assert np.count_nonzero(with_knee) == len(torso)
 
 
 def test_unseen_colours_come_from_the_other_side_or_from_beside(body: BodyModel) -> None:

@@ -159,14 +159,16 @@ def silhouette(pixels: Float[np.ndarray, "V 2"], hw: tuple[int, int]) -> Bool[np
     """The body's silhouette, from its projected vertices (NaN behind the camera) with closed gaps.
 
     Drawing all triangles of a dense body costs 20 ms a picture, this 0.3 ms; it differs by a pixel at the outline,
-    which is not used here. Vertices are at most 3 % of a person's height apart.
+    which is not used here. Vertices are at most 3 % of a person's height apart. Vertices next to the camera project
+    far away: they count one picture outside of it.
     """
     drawn = np.zeros(hw, np.uint8)
     at = np.floor(pixels[np.isfinite(pixels).all(axis=1)]).astype(np.int64)
     if len(at) == 0:
         return drawn > 0
-    gap = max(1, int(np.ceil(0.015 * np.ptp(at, axis=0).max())))
-    at = at[np.all((at >= 0) & (at < [hw[1], hw[0]]), axis=1)]
+    size = np.array([hw[1], hw[0]])
+    gap = max(1, int(np.ceil(0.015 * np.ptp(np.clip(at, -size, 2 * size), axis=0).max())))
+    at = at[np.all((at >= 0) & (at < size), axis=1)]
     drawn[at[:, 1], at[:, 0]] = 1
     return cv2.morphologyEx(drawn, cv2.MORPH_CLOSE, np.ones((2 * gap + 1, 2 * gap + 1), np.uint8)) > 0
 
