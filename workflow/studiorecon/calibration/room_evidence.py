@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""An estimate of cameras by people, improved by what the empty room shows where people allow it."""
+"""Improves an estimate of cameras from people by evidence of the empty room, where people agree."""
 
 from __future__ import annotations
 

@@ -44,10 +44,10 @@ SECTIONS: tuple[Section, ...] = (
             "keypoints.detections:DetectionLimits",
         ),
     ),
-    Section("clocks", "When every camera was started.", ("clocks.offsets:Settings",)),
+    Section("clocks", "Time offsets of the cameras.", ("clocks.offsets:Settings",)),
     Section(
         "calibration",
-        "Where calibrated cameras come from, and the check of them on people.",
+        "Source of the calibration, and its check on people.",
         (
             "calibration.network:Settings",
             "calibration.files:Settings",
@@ -89,10 +89,10 @@ SECTIONS: tuple[Section, ...] = (
     ),
     Section(
         "survey",
-        "Which effects the scene calls for.",
+        "Effects that the scene calls for.",
         ("survey.effects:EffectSettings",),
     ),
-    Section("objects", "Loose and held things.", ("objects.find:Settings",)),
+    Section("objects", "Moving objects that are not people.", ("objects.find:Settings",)),
     Section(
         "masks",
         "Masks of people in the training pictures.",
@@ -128,7 +128,7 @@ SECTIONS: tuple[Section, ...] = (
     ),
     Section(
         "enhance",
-        "Harmonised films that do not flicker.",
+        "Films with added detail and without flicker.",
         (
             "enhance.injection_settings:Enhancing",
             "configuration.plan_settings:Enhance",
@@ -136,10 +136,10 @@ SECTIONS: tuple[Section, ...] = (
             "enhance.injection_settings:Injecting",
         ),
     ),
-    Section("deliver", "The result in files of other programs.", ("deliver.export:Settings",)),
+    Section("deliver", "Files for other programs.", ("deliver.export:Settings",)),
     Section(
         "report",
-        "What the page shows and measures.",
+        "Contents and measures of the report.",
         (
             "report.page:Settings",
             "report.evaluate:Settings",

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Reads a network's depth of one camera in its own unit: what ``depth.network`` wrote, or the user's file of it."""
+"""Reads a network's depth of one camera in its own unit, from ``depth.network`` or a user's file."""
 
 from __future__ import annotations
 

@@ -120,7 +120,7 @@ def _carry(values, guide, rgb, contrast):
 
 @dataclass(frozen=True)
 class _CameraSurfaces:
-    """What the photos say of one camera: its picture, the room box and the furniture in front of it, at this size.
+    """The surfaces of one camera: its picture, the room box and the furniture in front of it, at this size.
 
     ``fitted``: pixels on a face of the box that was fitted to the photos.
     """

@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """How a film's pictures are upright, where a camera hangs sideways or upside down.
 
-The networks are at home with people who stand. Pictures are shown to them turned, and what they answer is turned back:
+The networks are trained on upright people. They get turned pictures, and their results are turned back:
 films, calibrations and all other steps keep the pixels as they are stored.
 """
 

@@ -14,7 +14,7 @@ if TYPE_CHECKING:
     from jaxtyping import Bool, Num
 
 FLOOR_M = 0.06
-"""What lies within this height of the floor is the floor."""
+"""Points within this height of the floor count as floor."""
 
 
 def floor_points(

@@ -27,7 +27,7 @@ _FRAMES_AT_ONCE = 32
 
 
 @dataclass(frozen=True)
-class _SpooledLook:
+class _SpooledTrainingCrop:
     """A crop without its pixels: its source, and its offset in the file."""
 
     frame: int
@@ -38,15 +38,15 @@ class _SpooledLook:
     body: Slot
 
 
-class _SpooledLooks:
+class _SpooledTrainingCrops:
     """Spooled crops, read again at every pass."""
 
     def __init__(self, folder: Path) -> None:
-        self.spool, self.kept = Spool(folder), list[_SpooledLook]()
+        self.spool, self.kept = Spool(folder), list[_SpooledTrainingCrop]()
 
     def add(self, look: TrainingCrop) -> None:
         slots = (self.spool.put(part) for part in (look.rgb, look.labels, look.body))
-        self.kept.append(_SpooledLook(look.frame, look.view, look.camera, *slots))
+        self.kept.append(_SpooledTrainingCrop(look.frame, look.view, look.camera, *slots))
 
     def __iter__(self) -> Iterator[TrainingCrop]:
         for k in self.kept:
@@ -69,7 +69,7 @@ def read_crops(
 
     Their pixels are in a file in ``folder`` until the process ends.
     """
-    looks = _SpooledLooks(folder)
+    looks = _SpooledTrainingCrops(folder)
     for view, (camera, video, mask) in enumerate(zip(cameras, videos, masks)):
         for look in person_crops(
             view,

@@ -67,7 +67,7 @@ def recolour_unseen(
 
 @dataclass(frozen=True)
 class Sources:
-    """What a person is trained on: films and masks, the fit and its body model, gains and light (``exposure``)."""
+    """Input files of a person's training: films, masks, the fit and its body model, gains and light (``exposure``)."""
 
     model: Path
     manifest: Path

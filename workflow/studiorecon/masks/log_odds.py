@@ -43,9 +43,9 @@ class DifferenceSettings:
 
 @dataclass(frozen=True)
 class Plate:
-    """A clean plate prepared for comparison: float32 in [0, 1], where it is measured, and its ``unrest``.
+    """A clean plate prepared for comparison: float32 in [0, 1], where it is measured, and its ``variability``.
 
-    That is the difference of its pixels without people (noise, compression at edges).
+    That is the difference of its pixels in pictures without people (noise, compression at edges).
     """
 
     rgb: Float[np.ndarray, "H W 3"]

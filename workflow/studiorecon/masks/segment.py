@@ -35,7 +35,7 @@ if TYPE_CHECKING:
 
 
 @dataclass(frozen=True)
-class Numbers:
+class NetworkLabels:
     """A network's numbers of every frame, read again at every pass; raises UserError for a film of other size or
     length."""
 
@@ -60,7 +60,7 @@ class Numbers:
 
 @dataclass(frozen=True)
 class FilmFiles:
-    """A camera's film, what is known of it, and its clean plate."""
+    """A camera's film, its camera and footage files, and its clean plate."""
 
     model: Path
     video: Path
@@ -112,7 +112,7 @@ def run(
         labels, described = label_given_masks(brought, bodies, len(persons), settings.outline.gate_m, own)
         sentence = f"masks of {given[0].name} are used as they are; {described}"
     elif tracks:
-        labels, sentence = assign_people(Numbers(tracks[0], frames, own.hw), bodies, len(persons))
+        labels, sentence = assign_people(NetworkLabels(tracks[0], frames, own.hw), bodies, len(persons))
     else:
         plate = read_plate(film.plate, own.wh)
         labels, sentence = _by_plate(settings, film, plate, bodies, hints), ""
@@ -159,7 +159,7 @@ def count_labels(
 
 
 def describe_labels(pixels: Integer[np.ndarray, " 256"], names: Sequence[str], measured: float) -> str:
-    """What the masks hold, from how many pixels have which label."""
+    """A sentence on the masks, from the number of pixels of each label."""
     shares = [f"{name} {pixels[k + 1] / pixels.sum():.1%}" for k, name in enumerate(names)]
     how = (
         "against the clean plate"

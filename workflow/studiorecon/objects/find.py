@@ -88,7 +88,7 @@ class Settings:
 class ObjectView:
     """One training camera at the searched size: film, clean plate in [0, 1], and where that is ``measured``.
 
-    ``usual`` is how much its pictures differ from the plate when nothing is there.
+    ``typical`` is the difference of its pictures from the plate without objects.
     """
 
     camera: Camera
@@ -232,7 +232,7 @@ def _track_rotation(
 
 
 def add_typical_difference(views: Sequence[ObjectView], moments: Moments, settings: LooseSettings) -> list[ObjectView]:
-    """The views with their usual difference from the plate, measured at moments spread over the clip."""
+    """The views with their typical difference from the plate, measured at moments spread over the clip."""
     seen = list(moments)
     found = []
     for v, view in enumerate(views):

@@ -42,11 +42,11 @@ class FollowSettings:
 
 @dataclass(frozen=True)
 class ObjectTrack:
-    """An object over time; ``centres_m``, ``valid`` and ``present`` as in ``RigidObject``; ``seen``: sightings by
+    """An object over time; ``centres_m``, ``valid`` and ``present`` as in ``RigidObject``; ``sightings`` by
     frame.
 
-    ``round`` is whether its outlines are those of a sphere; other objects are at the intersection of the rays through
-    their regions' middles.
+    ``is_sphere`` is whether its outlines are those of a sphere; other objects are at the intersection of the rays
+    through their regions' middles.
     """
 
     centres_m: Float[np.ndarray, "T 3"]

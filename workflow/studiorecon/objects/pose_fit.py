@@ -82,41 +82,41 @@ class Fitter:
         self._gaussians, self.reach_m = gaussians, reach_m
         self._rasteriser = Rasteriser(near_m=NEAR_M, threads=threads)
 
-    def misfit(self, pose: Float[np.ndarray, "4 4"], glimpses: Sequence[ObjectObservation]) -> tuple[float, float]:
+    def misfit(self, pose: Float[np.ndarray, "4 4"], observations: Sequence[ObjectObservation]) -> tuple[float, float]:
         """Sum of the squared differences in the crops at a pose, and the number of the object's pixels."""
-        squares = sum(float(np.square(self._difference(pose, g, 0.0)).sum()) for g in glimpses)
-        return squares, float(sum((g.mask * g.weight).sum() for g in glimpses))
+        squares = sum(float(np.square(self._difference(pose, g, 0.0)).sum()) for g in observations)
+        return squares, float(sum((g.mask * g.weight).sum() for g in observations))
 
     def fit(
         self,
         pose: Float[np.ndarray, "4 4"],
-        glimpses: Sequence[ObjectObservation],
+        observations: Sequence[ObjectObservation],
         prior: Prior,
         blurs_px: Sequence[float],
         steps: int,
     ) -> Float[np.ndarray, "4 4"]:
         """The pose near ``pose`` that best explains the observations and the prior."""
         for blur_px in blurs_px:
-            pose = self._descended(pose, glimpses, prior, blur_px, steps)
+            pose = self._descended(pose, observations, prior, blur_px, steps)
         return pose
 
     def cost(
-        self, pose: Float[np.ndarray, "4 4"], glimpses: Sequence[ObjectObservation], prior: Prior, blur_px: float
+        self, pose: Float[np.ndarray, "4 4"], observations: Sequence[ObjectObservation], prior: Prior, blur_px: float
     ) -> float:
         """The cost that ``fit`` minimises."""
-        return _cost(self._residuals(pose, glimpses, blur_px)) + float(np.square(prior.residuals(pose)).sum())
+        return _cost(self._residuals(pose, observations, blur_px)) + float(np.square(prior.residuals(pose)).sum())
 
     def _descended(
-        self, pose: np.ndarray, glimpses: Sequence[ObjectObservation], prior: Prior, blur_px: float, steps: int
+        self, pose: np.ndarray, observations: Sequence[ObjectObservation], prior: Prior, blur_px: float, steps: int
     ) -> np.ndarray:
         lengths = np.array([_STEP_RAD] * 3 + [_STEP_SHARE * self.reach_m] * 3)
-        damping, residual = _DAMPING[0], self._residuals(pose, glimpses, blur_px)
+        damping, residual = _DAMPING[0], self._residuals(pose, observations, blur_px)
         expected = prior.residuals(pose)
         cost = _cost(residual) + float(expected @ expected)
         for _ in range(steps):
             varied = [move_pose(pose, lengths * unit) for unit in np.eye(6)]
             slope = np.stack(
-                [(self._residuals(v, glimpses, blur_px) - residual) / h for v, h in zip(varied, lengths)], axis=1
+                [(self._residuals(v, observations, blur_px) - residual) / h for v, h in zip(varied, lengths)], axis=1
             )
             pull = np.stack([(prior.residuals(v) - expected) / h for v, h in zip(varied, lengths)], axis=1)
             robust = np.minimum(1.0, _HUBER / _NOISE / np.maximum(np.abs(residual), 1e-9))
@@ -126,7 +126,7 @@ class Fitter:
                 step = -np.linalg.solve(normal + damping * np.diag(np.diag(normal)), gradient)
                 step[:3] *= min(1.0, 0.5 / max(float(np.linalg.norm(step[:3])), 1e-12))
                 new = move_pose(pose, step)
-                new_residual, new_expected = self._residuals(new, glimpses, blur_px), prior.residuals(new)
+                new_residual, new_expected = self._residuals(new, observations, blur_px), prior.residuals(new)
                 new_cost = _cost(new_residual) + float(new_expected @ new_expected)
                 if new_cost < cost:
                     break
@@ -140,9 +140,10 @@ class Fitter:
                 break
         return pose
 
-    def _residuals(self, pose: np.ndarray, glimpses: Sequence[ObjectObservation], blur_px: float) -> np.ndarray:
+    def _residuals(self, pose: np.ndarray, observations: Sequence[ObjectObservation], blur_px: float) -> np.ndarray:
         return (
-            np.concatenate([self._difference(pose, g, blur_px).ravel() for g in glimpses]).astype(np.float64) / _NOISE
+            np.concatenate([self._difference(pose, g, blur_px).ravel() for g in observations]).astype(np.float64)
+            / _NOISE
         )
 
     def _difference(self, pose: np.ndarray, seen: ObjectObservation, blur_px: float) -> np.ndarray:

@@ -77,8 +77,8 @@ def track_rotation(
 
     Some 0.1 s per frame and view; ``rng`` is for the training of its shape.
     """
-    glimpses = _observations(track, cameras, apart)
-    frames = sorted(glimpses)
+    observations = _observations(track, cameras, apart)
+    frames = sorted(observations)
     looks = [look for look in unoccluded_crops(track, cameras) if (look.frame, look.view) not in apart]
     if len(frames) < 3 or not looks:
         return None
@@ -88,7 +88,7 @@ def track_rotation(
     shape = _shape(best, rng, threads)
     if shape is None:
         return None
-    poses = _follow(Fitter(*shape, threads), still, glimpses, best[0].frame, fps, settings)
+    poses = _follow(Fitter(*shape, threads), still, observations, best[0].frame, fps, settings)
     if _largest_rad(np.stack([poses[frame][:3, :3] for frame in frames])) < _MIN_RAD:
         return None
     # Once more with the shape from all moments; a third time changes nothing.
@@ -96,8 +96,8 @@ def track_rotation(
     if shape is None:
         return None
     fitter = Fitter(*shape, threads)
-    poses = _refine_poses(fitter, still, poses, glimpses, fps, settings)
-    misfits = {frame: np.divide(*fitter.misfit(poses[frame], glimpses[frame])) for frame in frames}
+    poses = _refine_poses(fitter, still, poses, observations, fps, settings)
+    misfits = {frame: np.divide(*fitter.misfit(poses[frame], observations[frame])) for frame in frames}
     measured = np.zeros(len(still), bool)
     measured[[frame for frame in frames if misfits[frame] <= _LOST * np.median(list(misfits.values()))]] = True
     measured &= track.valid
@@ -149,13 +149,13 @@ def _shape(looks: Sequence[ObjectCrop], rng: np.random.Generator, threads: int) 
 def _follow(
     fitter: Fitter,
     still: np.ndarray,
-    glimpses: Mapping[int, list[ObjectObservation]],
+    observations: Mapping[int, list[ObjectObservation]],
     start: int,
     fps: float,
     settings: TurnSettings,
 ) -> dict[int, np.ndarray]:
     """Poses (4, 4) by frame, tracked from the moment ``start`` both ways."""
-    frames = sorted(glimpses)
+    frames = sorted(observations)
     poses = {start: still[start]}
     at = frames.index(start)
     for way in (frames[at + 1 :], frames[:at][::-1]):
@@ -178,8 +178,8 @@ def _follow(
                 going[:3, :3] = last[:3, :3] @ rotations.exp(share * rotations.log(first.T @ last[:3, :3]))
                 starts, expected = [expected, going], going
             prior = Prior(expected, max(slack_rad, 0.05), fitter.reach_m * _PLACE)
-            found = [fitter.fit(pose, glimpses[frame], prior, _BLURS_PX, _STEPS) for pose in starts]
-            poses[frame] = min(found, key=lambda pose: fitter.cost(pose, glimpses[frame], prior, 0.0))
+            found = [fitter.fit(pose, observations[frame], prior, _BLURS_PX, _STEPS) for pose in starts]
+            poses[frame] = min(found, key=lambda pose: fitter.cost(pose, observations[frame], prior, 0.0))
             before.append(frame)
     return poses
 
@@ -188,12 +188,12 @@ def _refine_poses(
     fitter: Fitter,
     still: np.ndarray,
     poses: Mapping[int, np.ndarray],
-    glimpses: Mapping[int, list[ObjectObservation]],
+    observations: Mapping[int, list[ObjectObservation]],
     fps: float,
     settings: TurnSettings,
 ) -> dict[int, np.ndarray]:
     """Poses by frame, fitted again with another shape, each with a prior from its neighbours on both sides."""
-    frames, new = sorted(glimpses), dict(poses)
+    frames, new = sorted(observations), dict(poses)
     for i, frame in enumerate(frames):
         low, high = frames[max(i - 1, 0)], frames[min(i + 1, len(frames) - 1)]
         share = (frame - low) / (high - low)
@@ -202,5 +202,5 @@ def _refine_poses(
         # At an end there is one neighbour, which does not limit the rotation.
         slack_rad = settings.rad_s2 * ((high - low) / fps) ** 2 / 2
         prior = Prior(expected, max(slack_rad, 0.05), fitter.reach_m * _PLACE)
-        new[frame] = fitter.fit(new[frame], glimpses[frame], prior, (0.0,), _LATER_STEPS)
+        new[frame] = fitter.fit(new[frame], observations[frame], prior, (0.0,), _LATER_STEPS)
     return new

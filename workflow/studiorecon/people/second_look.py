@@ -78,7 +78,7 @@ def redetect(
     own: Detections,
     view: CameraPictures,
 ) -> list[SecondLook]:
-    """New detections in ``pictures`` (those of the frames of ``plan.looks``, in order) that agree with the other
+    """New detections in ``pictures`` (those of the frames of ``plan.searches``, in order) that agree with the other
     cameras."""
     results = []
     names = LAYOUTS[LAYOUT].keypoints

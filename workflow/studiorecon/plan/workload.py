@@ -35,7 +35,7 @@ ON_DEMAND = {"objects_find": "dynamic_objects", "render_light": "moving_shadows"
 
 @dataclass(frozen=True)
 class Footage:
-    """The size of a capture, in numbers of cameras, frames, pixels and people; a ``made`` one is filmed first."""
+    """The size of a capture, in numbers of cameras, frames, pixels and people; a ``synthetic`` one is filmed first."""
 
     training: int
     held_out: int

@@ -77,7 +77,7 @@ class PeopleFiles:
 
 @dataclass(frozen=True)
 class MeasuredFiles:
-    """What was measured and decided, and what the paper measured."""
+    """Measures and decisions of the run, and the paper's measures."""
 
     metrics: Path
     recognition: list[Path]
@@ -87,7 +87,7 @@ class MeasuredFiles:
 
 @dataclass(frozen=True)
 class RunFiles:
-    """How the run went: its times, logs, settings and budget (both JSON), and the licences of what it used."""
+    """The run's times, logs, settings and budget (both JSON), and the licences of its networks."""
 
     benchmarks: Place
     logs: Place

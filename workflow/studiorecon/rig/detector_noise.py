@@ -26,8 +26,8 @@ _MIN_NOISE = 0.0005
 
 @dataclass(frozen=True)
 class DetectorNoise:
-    """Standard deviations of keypoints: ``frame_px`` (V,) anew in every frame, and ``shared_m`` for as long as a body
-    is seen from one side, across the line of sight."""
+    """Standard deviations of keypoints: ``frame_px`` (V,), independent in every frame, and ``shared_m``, across the
+    line of sight, constant while a body is seen from one side."""
 
     frame_px: Num[np.ndarray, " V"]
     shared_m: float

@@ -50,7 +50,7 @@ _KINDS = len(BONES) // 2
 
 @dataclass(frozen=True)
 class RoomEvidence:
-    """What the empty room shows: views' ``turns`` by its straight ``edges`` (view → (N, 4) ends), and ``marks`` on its
+    """Evidence of the empty room: views' ``turns`` by its straight ``edges`` (view → (N, 4) ends), and ``marks`` on its
     floor, both in distorted pixels."""
 
     turns: Mapping[int, RoomTurn] = field(default_factory=dict)

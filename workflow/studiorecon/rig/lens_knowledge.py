@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What is known of lenses before an estimate, and pixels with and without the distortion that it finds."""
+"""Prior knowledge of lenses, and pixels with and without an estimated distortion."""
 
 from __future__ import annotations
 
@@ -24,8 +24,8 @@ _USUAL_HFOV_DEG = 65.0
 
 @dataclass(frozen=True)
 class LensKnowledge:
-    """What is known of V lenses: ``expected`` and ``sigma`` (V, 4) of log focal length, k1 and principal point, and the
-    ``makes`` of which cameras are alike (None: of no other's)."""
+    """Prior of V lenses: ``expected`` and ``sigma`` (V, 4) of log focal length, k1 and principal point. Cameras with
+    equal ``makes`` have similar lenses."""
 
     expected: Num[np.ndarray, "V 4"]
     sigma: Num[np.ndarray, "V 4"]

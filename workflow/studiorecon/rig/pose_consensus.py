@@ -38,11 +38,11 @@ _SAME_DEG = 5.0
 
 @dataclass(frozen=True)
 class PoseConsensus:
-    """The cameras that people place.
+    """The cameras whose poses people determine.
 
     Attributes:
         cameras: their indices among all cameras, ascending.
-        rig: the rig; its views count the placed cameras.
+        rig: the rig; its views count these cameras.
         sightings: their observations.
         left_out: all other cameras → why.
         rival: another rig of the same cameras with about as much support, or None.
@@ -66,7 +66,7 @@ def find_pose_consensus(
     limits: Limits,
     rival_share: float,
 ) -> PoseConsensus | None:
-    """The best rig of all cameras, or of as many as people place; None if they place fewer than two.
+    """The best rig of all cameras, or of as many as people determine; None if fewer than two.
 
     ``known_px``: camera → focal length, where it is known. At most ``looked_at`` of ``frames`` are used, spread over
     those in which two cameras see people; and as many again for each camera that the first search did not place.

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Why rays of one body point do not meet: lens, clock and readout, estimated together with the points eliminated.
+"""Readout times from rays of one body point that do not meet: lens, clock and readout are estimated together.
 
 Each camera c sees point X of a body at u = π_c(X) + lag_c v + readout_c v (row/H - 1/2) + k1_c f r² n + pose + noise, v
 the image velocity in px/frame. Linear in everything but X, and X is eliminated per point (its three columns are

@@ -29,7 +29,7 @@ _FACTORS = {"factors": MappingOf(real("F 3", above=0))}
 
 @dataclass(frozen=True)
 class Factors:
-    """``of``: camera → (1, 3) or (frames, 3) float64 factors; pictures of cameras that are not named stay unchanged."""
+    """``by_camera``: camera → (1, 3) or (frames, 3) float64 factors; pictures of other cameras stay unchanged."""
 
     by_camera: Mapping[str, Float[np.ndarray, "F 3"]] = field(default_factory=dict)
 
@@ -47,7 +47,7 @@ class Factors:
     def normalise_film(
         self, camera: str, pictures: Iterable[Num[np.ndarray, "H W 3"]]
     ) -> Iterator[Num[np.ndarray, "H W 3"]]:
-        """``even`` of every picture of a film, from its first frame on."""
+        """Pictures of a film as from ``normalise``, from its first frame on."""
         return (self.normalise(camera, picture, frame) for frame, picture in enumerate(pictures))
 
 

@@ -138,7 +138,7 @@ class PointModel:
         )
 
     def pose(self, state: FitState) -> PosedPoints:
-        """The points in the state's pose."""
+        """The points in the state's pose, with the terms of their derivatives."""
         world, joints = forward_kinematics(state.local, self.body.rest_joints(state.betas), self.body.parents)
         parts = self._offsets(state) @ np.swapaxes(world, -1, -2)
         parts += self.share.T[..., None] * joints[:, :, None]

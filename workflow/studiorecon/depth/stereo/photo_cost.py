@@ -93,7 +93,7 @@ class PhotoCostVolume:
     def of_empty_room(
         pictures: Sequence[Picture], room_box: RoomBox, window: int, mean_weight: float, looks: bool = True
     ) -> PhotoCostVolume:
-        """The empty room: every pixel on the room box. Without ``looks`` dissimilarity (``odds``) is left at 0."""
+        """The empty room: every pixel on the room box. Without ``looks`` the foreground log-odds are 0."""
         count = len(pictures)
         height, width = np.max([p.camera.hw for p in pictures], axis=0)
         shape = (count, height, width)

@@ -38,7 +38,7 @@ class ConstantBones(Factor):
 
 @dataclass(frozen=True)
 class MeanLengths(Factor):
-    """Differences of log lengths from ``usual``, the (M,) logs of a mean adult's."""
+    """Differences of log lengths from ``log_lengths``, those of a mean adult."""
 
     log_lengths: Num[np.ndarray, " M"]
 

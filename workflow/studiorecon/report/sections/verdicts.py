@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The page's section on effects: every statistic against its threshold, and the steps that obey the verdict."""
+"""The page's section on effects: every statistic against its threshold, and the steps that use the verdict."""
 
 from __future__ import annotations
 
