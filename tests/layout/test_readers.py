@@ -71,3 +71,18 @@ def test_no_step_opens_what_lies_between_steps_but_by_its_reader() -> None:
     assert not past, "read it with scene.step_files.read and a schema"
     used = {place for path in opening for place in within(path, places)}
     assert used == set(places), "what opens nothing needs no excuse"
+
+
+# They show or pass on a whole file, and check what they compute with themselves.
+UNTYPED = {"report/page.py", "calibration/choose.py", "people/review.py"}
+
+
+def test_a_file_between_steps_is_read_by_its_schema() -> None:
+    found = {
+        path.relative_to(PACKAGE).as_posix()
+        for path in sorted(PACKAGE.rglob("*.py"))
+        for node in ast.walk(tree(path))
+        for schema in (node.args if called(node) == "read" else [getattr(node, "value", None)])
+        if isinstance(schema, ast.Call) and ast.unparse(schema) == "MappingOf(Anything())"
+    }
+    assert found == UNTYPED

@@ -7,12 +7,13 @@ from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
 
+from studiorecon.camera_files.calibration import read_lenses
 from studiorecon.plan.decisions import Plan
 from studiorecon.plan.step_config import step_section
 from studiorecon.plan.user_inputs import UserInputs
+from studiorecon.scene.decisions import Decision, read_decisions
 from studiorecon.scene.people import read_people
-from studiorecon.scene.schema import Anything, MappingOf
-from studiorecon.scene.step_files import read
+from studiorecon.scene.step_files import step_file_context
 
 
 class Files(UserInputs):
@@ -34,7 +35,7 @@ class Files(UserInputs):
         if not self.plan.from_people:
             return self.plan.cameras
         found = self.checkpoints.calibration_from_people.get(scene=self._scene(wildcards)).output.calibration
-        placed = read(Path(found), MappingOf(Anything()), lambda held: {lens["name"] for lens in held["lenses"]})
+        placed = read_lenses(Path(found))
         return [camera for camera in self.plan.cameras if camera in placed]
 
     def training(self, wildcards: Any) -> list[str]:
@@ -256,13 +257,12 @@ class Files(UserInputs):
 
     def verdict(self, effect: str, wildcards: Any) -> str:
         """The survey's verdict on an effect: on, off or undetermined; at once where ``survey.force`` decides it."""
-        return self.plan.forced_effects.get(effect) or self._decided(effect, wildcards)["verdict"]
+        return self.plan.forced_effects.get(effect) or self._decided(effect, wildcards).verdict
 
-    def _decided(self, effect: str, wildcards: Any) -> Mapping[str, Any]:
-        decided = self.checkpoints.survey_decide.get(scene=self._scene(wildcards)).output.decisions
-        return read(
-            Path(decided), MappingOf(Anything()), lambda held: {d["effect"]: d for d in held["decisions"]}[effect]
-        )
+    def _decided(self, effect: str, wildcards: Any) -> Decision:
+        decided = Path(self.checkpoints.survey_decide.get(scene=self._scene(wildcards)).output.decisions)
+        with step_file_context(decided):
+            return read_decisions(decided)[effect]
 
     def gains(self, wildcards: Any) -> list[str]:
         """The gains of the cameras: a file, where the survey turned exposure correction on."""
@@ -290,13 +290,13 @@ class Files(UserInputs):
             return []
         chosen = self.plan.segments[: len(self.training(wildcards))]
         if not forced:
-            parts = self._decided("view_synthesis", wildcards)["detail"].get("parts", {})
+            parts = self._decided("view_synthesis", wildcards).detail.get("parts", {})
             chosen = [name for name in chosen if parts.get(name, {}).get("verdict") == "on"]
         closed = self.plan.forced_effects.get("closed_path")
         if chosen and closed != "on":
             path = self._decided("closed_path", wildcards)
-            if closed == "off" or path["verdict"] != "on":
-                chosen = [name for name in chosen if name != path["detail"]["widest"]]
+            if closed == "off" or path.verdict != "on":
+                chosen = [name for name in chosen if name != path.detail["widest"]]
         return chosen
 
     def views(self, wildcards: Any) -> list[str]:

@@ -49,7 +49,7 @@ from studiorecon.scene.camera import Camera
 from studiorecon.scene.capture import common_start
 from studiorecon.scene.files import write_json
 from studiorecon.scene.people import Person, read_detections, read_identities
-from studiorecon.scene.schema import Anything
+from studiorecon.scene.schema import ListOf, OptionalField, flag, metres, real, text, whole
 from studiorecon.scene.step_files import read
 from studiorecon.signature import Place, Written
 from studiorecon.splatting.device import resolve
@@ -60,6 +60,21 @@ if TYPE_CHECKING:
 _NO_HELD_OUT = "no camera is held out: name some under held_out in capture.yaml"
 _NO_TRUTH = "there is no exact truth (only a synthetic studio has it)"
 _NO_REGIONS = "no held-out camera has rendered depth"
+_HELD_OUT = {
+    "cameras": ListOf(
+        {
+            "camera": text(),
+            "joints": whole(low=0),
+            "before_px": OptionalField(real(low=0)),
+            "after_px": OptionalField(real(low=0)),
+            "turned_deg": real(low=0),
+            "moved_m": metres(low=0),
+            "is_verified": flag(),
+            "places": whole(low=0),
+            "sentence": text(),
+        }
+    )
+}
 _NO_DEPTH = "the studio stored no depth of people; set truth: {depth_frames: true} in its description"
 
 
@@ -227,7 +242,7 @@ def run(
             "scene": scored.capture.scene,
             "pictures": pictures,
             "training": found if not scored.held_out and found else None,
-            "held_out_cameras": read(poses, {"cameras": Anything()})["cameras"],
+            "held_out_cameras": read(poses, _HELD_OUT)["cameras"],
             "bodies": bodies,
             "jitter": {person.name: jitter(person.joints, person.poses, person.valid, person.fps) for person in fitted},
             "pck_bodies": _bodies_in_pictures(exact, scored, fitted),
