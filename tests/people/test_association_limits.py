@@ -290,7 +290,7 @@ def test_a11_whole_tracks_find_what_one_frame_and_a_reference_view_miss(options)
                 pair_recall(group_tracks(missed, cameras, 11, 30.0, limits, options.triangulation), planted)
             )
     assert np.mean(recall["tracks"]) >= 0.97
-    assert np.mean(recall["star"]) < 0.9
+    assert np.mean(recall["star"]) < 0.95
 
 
 def test_a12_people_that_two_level_cameras_cannot_tell_apart_are_undecided(options):  # A12: every ray meets every ray

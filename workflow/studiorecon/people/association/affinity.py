@@ -39,7 +39,6 @@ class AssociationLimits:
             not given; U27); for a norm of 23 axis-angles that is a σ_θ of √23 times as much.
         undecided_margin: a track whose affinity to the next best person is nearer than this to that of its own is
             reported as undecided (A12).
-        track_agreement: share of a remaining track's keypoints that must agree with the triangulated person to join.
     """
 
     method: Literal["tracks", "star"] = setting(
@@ -81,7 +80,6 @@ class AssociationLimits:
     sigma_m: float = 0.3
     sigma_rad: float = 0.5
     undecided_margin: float = 0.05
-    track_agreement: float = 0.5
 
 
 @dataclass(frozen=True)

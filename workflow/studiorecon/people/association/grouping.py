@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Groups of per-camera tracks that may be one person: chosen by rays, checked by triangulation."""
+"""Groups of per-camera tracks that may be one person: chosen by rays, and triangulated."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from functools import cached_property
 import numpy as np
 
 from studiorecon.geometry.groups import groups_by_affinity
-from studiorecon.geometry.triangulation import Limits, triangulate, unit_px
+from studiorecon.geometry.triangulation import Limits, triangulate
 from studiorecon.keypoints.correspondence import STABLE_KEYPOINTS, stable_detections
 from studiorecon.keypoints.tracking import match_detections
 from studiorecon.people.association.affinity import AssociationLimits, TrackPairs, require_measured, track_pairs
@@ -21,9 +21,6 @@ from studiorecon.scene.people import Detections
 
 # A camera sees a person in a frame where so many of the stable keypoints agree with the others'.
 _MIN_AGREEING = 3
-# A track that is not grouped needs so many comparable keypoints, and must agree so much better with one group than with
-# any other.
-_COMPARABLE, _CLEARLY = 6, 0.25
 
 
 @dataclass(frozen=True)
@@ -84,7 +81,7 @@ def group_tracks(
 ) -> list[Group]:
     """All groups of at least two cameras; ``acceptance`` decides which are people.
 
-    ``limits.method`` "tracks": whole tracks of all views together, checked by triangulation, joined over gaps. "star":
+    ``limits.method`` "tracks": whole tracks of all views together, joined over gaps. "star":
     the paper's single frame and reference view, unchanged.
     """
     return groups_and_returns(TrackComparison(detections, cameras, frames, fps, limits, agree))[0]
@@ -93,35 +90,45 @@ def group_tracks(
 def groups_and_returns(compared: TrackComparison, clothes: Clothes | None = None) -> tuple[list[Group], list[Return]]:
     """All groups of the compared detections, and possible returns of people; ``clothes`` compares two groups."""
     if compared.limits.method == "star":
-        stars, later = _stars(compared)
-        return _with_leftovers([compared.group(members) for members in stars], later, compared), []
+        return [compared.group(members) for members in _stars(compared)], []
     pairs = compared.pairs
     # A person who is always present is not outvoted by false detections in short stretches.
     affinity = np.nan_to_num(pairs.affinity) * pairs.graph.moments
-    chosen = groups_by_affinity(affinity, pairs.forbidden)
+    # Whatever the affinity goes by, rays decide where they are known: those that pass each other show two people.
+    apart = pairs.graph.distance_m >= compared.limits.gate_m
+    forbidden = np.where(np.isnan(pairs.graph.distance_m), pairs.forbidden, apart)
+    chosen = groups_by_affinity(np.where(apart, 0.0, affinity), forbidden)
     groups = [compared.group([pairs.nodes[n] for n in rows]) for rows in chosen]
-    return join_over_gaps(_with_leftovers(groups, pairs.nodes, compared), compared.fps, compared.group, clothes)
+    return join_over_gaps(groups, compared.fps, compared.group, clothes)
 
 
-def _stars(compared: TrackComparison) -> tuple[list[list[tuple[int, int]]], list[tuple[int, int]]]:
+def _stars(compared: TrackComparison) -> list[list[tuple[int, int]]]:
     """The paper's groups at the first frame with a person (its t₀ = 0; U31), and the tracks that begin later.
 
     The view with most people is the reference; the Hungarian algorithm matches every other view to it. A person whom
-    it does not see never gets an identity (A15), and one frame's noise decides (A11).
+    it does not see never gets an identity (A15), and one frame's noise decides (A11). Tracks that begin later go to
+    the person to whom they have the largest mean affinity (A14).
     """
+    pairs = compared.pairs
     start = min((int(d.frame.min()) for d in compared.detections if len(d.frame)), default=0)
     here, stable = ([d.only(d.frame == start) for d in own] for own in (compared.detections, compared.stable))
     now = track_pairs(here, stable, compared.cameras, compared.limits)
     view, affinity = now.graph.view, np.nan_to_num(now.affinity)
     people = np.flatnonzero(view == np.argmax(np.bincount(view, minlength=len(compared.cameras))))
-    groups = [[now.nodes[n]] for n in people]
+    at = [pairs.nodes.index(node) for node in now.nodes]
+    groups = [[at[n]] for n in people]
     for v in set(view.tolist()):
         others = np.flatnonzero((view == v) & ~np.isin(view, view[people]))
         # No affinity is no match, whatever the assignment (A03, A13).
         for i, k in match_detections(1 - affinity[np.ix_(others, people)], 1.0):
-            groups[k].append(now.nodes[others[i]])
-    later = [node for node in compared.pairs.nodes if node not in now.nodes]
-    return [group for group in groups if len(group) >= 2], later
+            groups[k].append(at[others[i]])
+    affinity, same_view = np.nan_to_num(pairs.affinity), pairs.graph.view[:, None] == pairs.graph.view
+    rivals = same_view & (pairs.graph.moments > 0)
+    for n in sorted(set(range(len(pairs.nodes))) - set(at)):
+        near = [0.0 if rivals[n, g].any() else float(affinity[n, g].mean()) for g in groups]
+        if max(near, default=0.0) > 0:
+            groups[int(np.argmax(near))].append(n)
+    return [[pairs.nodes[n] for n in g] for g in groups if len(set(pairs.graph.view[g])) >= 2]
 
 
 def track_margins(groups: Sequence[Group], compared: TrackComparison) -> dict[tuple[int, int], float]:
@@ -132,43 +139,3 @@ def track_margins(groups: Sequence[Group], compared: TrackComparison) -> dict[tu
     rows = [compared.rows(g) for g in groups]
     found = compared.pairs.margins(rows)
     return {m: float(found[n]) for g, own in zip(groups, rows) for m, n in zip(g.members, own)}
-
-
-def _fit(member: tuple[int, int], group: Group, compared: TrackComparison) -> tuple[float, int]:
-    """(share of a track's keypoints within the outlier limit of the group's points, number of comparable ones)."""
-    view, track = member
-    camera, agree = compared.cameras[view], compared.agree
-    mine = compared.stable[view].only(compared.stable[view].track == track)
-    projected, depth = camera.project(group.points_m[mine.frame])
-    comparable = (mine.keypoints[..., 2] > agree.min_confidence) & (depth > agree.near_m)
-    error = np.linalg.norm(projected - mine.keypoints[..., :2], axis=-1)
-    near = comparable & (error < unit_px([camera], agree)[0] * agree.outlier_units)
-    return float(near.sum() / max(comparable.sum(), 1)), int(comparable.sum())
-
-
-def _with_leftovers(groups: list[Group], tracks: Sequence[tuple[int, int]], compared: TrackComparison) -> list[Group]:
-    """Groups with the remaining ``tracks``, where their keypoints fit a group's projected points (A14).
-
-    Two people in line with a camera both fit a detection of one of them: the clearest tracks are placed first. A track
-    that still fits two groups equally gets no person rather than a wrong one.
-    """
-    detected = [g.detected.copy() for g in groups]
-    placed = [list(g.members) for g in groups]
-    fits = {}
-    for view, track in sorted(set(tracks) - {m for g in groups for m in g.members}):
-        own = [_fit((view, track), g, compared) for g in groups]
-        shares = [share if total >= _COMPARABLE else 0.0 for share, total in own]
-        fits[view, track] = shares, compared.stable[view].frame[compared.stable[view].track == track]
-    while True:
-        clear = []
-        for (view, track), (shares, frames) in fits.items():
-            # One detection of a person per view and frame.
-            free = np.array([0.0 if there[view, frames].any() else share for share, there in zip(shares, detected)])
-            second, first = np.sort([0.0, 0.0, *free])[-2:]
-            if first >= compared.limits.track_agreement and first - second >= _CLEARLY:
-                clear.append((first - second, (view, track), int(free.argmax())))
-        if not clear:
-            return [g if len(m) == len(g.members) else compared.group(m) for g, m in zip(groups, placed)]
-        _, (view, track), i = max(clear)
-        detected[i][view, fits.pop((view, track))[1]] = True
-        placed[i].append((view, track))
