@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""An effect that shows before training: its measurement, and the file that it writes for the steps that obey it."""
+"""An effect that shows before training: its measurement, and the file that it writes for the steps that use it."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ class Measurement:
     Attributes:
         value, interval: the measurement; None when there was nothing to measure.
         reason: one sentence; without a value it says why.
-        detail: numbers for the steps that obey the decision.
+        detail: numbers for the steps that use the decision.
         parts: name → value and interval, for parts of the scene that are decided one by one.
     """
 
@@ -33,7 +33,7 @@ class Measurement:
 
 @dataclass(frozen=True)
 class Artefact:
-    """A file ``file`` that is written with the decision, for the steps that obey it.
+    """A file ``file`` that is written with the decision, for the steps that use it.
 
     ``write`` makes it from path, decision, evidence, recordings; it stays empty unless the effect is on.
     """
@@ -44,7 +44,7 @@ class Artefact:
 
 @dataclass(frozen=True, kw_only=True)
 class SurveyedEffect(Effect):
-    """An effect with its measurement, and the artefact for the steps that obey it.
+    """An effect with its measurement, and the artefact for the steps that use it.
 
     ``measure`` also gets the threshold, for reasons that count the values beyond it.
     """

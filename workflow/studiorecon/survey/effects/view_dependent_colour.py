@@ -41,7 +41,7 @@ def measure(evidence: Evidence, threshold: float) -> Measurement:
 
 
 def write(path: Path, decision: Decision, evidence: Evidence, recordings: Recordings) -> None:
-    """Write the verdict to a file of its own, so that steps that obey it rerun only when it changes."""
+    """Write the verdict to a file of its own, so that steps that use it rerun only when it changes."""
     write_json(path, {"degree": decision.detail["degree"]})
 
 
