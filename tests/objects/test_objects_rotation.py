@@ -55,7 +55,7 @@ def test_a_thing_that_turns_looks_better_for_it(
     (still,) = found(never, pictured)
     assert still.turns == NO_TURNS
     assert (still.world_from_object == np.eye(3)).all()
-    assert "not determined" in capsys.readouterr().out
+    assert "undetermined" in capsys.readouterr().out
     assert seen_db(tumbled, pictured) > seen_db(still, pictured) + 4
 
 
