@@ -27,7 +27,7 @@ from studiorecon.keypoints.layouts import LAYOUTS
 from studiorecon.keypoints.tracking import drop_duplicates, track_ids
 from studiorecon.people import associate
 from studiorecon.people.association.acceptance import identities_from_keypoints
-from studiorecon.people.association.grouping import TrackComparison, groups_and_returns, track_margins
+from studiorecon.people.association.grouping import TrackComparison, groups_and_returns
 from studiorecon.report.metrics.identity_scores import identity_scores
 from studiorecon.scene.camera import Camera, Lens
 from studiorecon.scene.files import write_json
@@ -188,7 +188,7 @@ def score(
     )
     compared = TrackComparison(found, take.cameras, FRAMES, 30.0, options.association, options.triangulation)
     groups, _ = groups_and_returns(compared)
-    margins = track_margins(groups, compared)
+    margins = compared.pairs.margins([group.members for group in groups])
     return {
         "accuracy": scores.accuracy,
         "precision": scores.precision,

@@ -17,7 +17,7 @@ from studiorecon.people.association import terms
 from studiorecon.people.association.acceptance import identities_from_keypoints
 from studiorecon.people.association.affinity import affinities, track_pairs
 from studiorecon.people.association.group import Group
-from studiorecon.people.association.grouping import TrackComparison, group_tracks, track_margins
+from studiorecon.people.association.grouping import TrackComparison, group_tracks, groups_and_returns
 from studiorecon.people.association.postures import joint_differences_rad, parameter_differences_rad
 from studiorecon.rig.correspondences import make_observations
 from studiorecon.scene.camera import Camera
@@ -295,19 +295,14 @@ def test_a11_whole_tracks_find_what_one_frame_and_a_reference_view_miss(options)
 
 def test_a12_people_that_two_level_cameras_cannot_tell_apart_are_undecided(options):  # A12: every ray meets every ray
     people = [walk([0.0, -0.22, 0], [0, 0, 0], 20), walk([0.0, 0.23, 0], [0, 0, 0], 20)]
-    level = arc(117)
-    found = detect(level, people, 1.0, np.random.default_rng(0))
-    groups = group_tracks(found, level, 20, 30.0, options.association, options.triangulation)
-    margins = track_margins(groups, TrackComparison(found, level, 20, 30.0, options.association, options.triangulation))
-    assert margins
-    assert min(margins.values()) < options.association.undecided_margin
-    found = detect(ring(), people, 1.0, np.random.default_rng(0))
-    groups = group_tracks(found, ring(), 20, 30.0, options.association, options.triangulation)
-    assert pair_recall(groups, owner(ring(), found, people)) == 1.0
-    margins = track_margins(
-        groups, TrackComparison(found, ring(), 20, 30.0, options.association, options.triangulation)
-    )
-    assert min(margins.values()) > options.association.undecided_margin
+    limits = options.association, options.triangulation
+
+    def least_margin(cameras: list[Camera]) -> float:
+        compared = TrackComparison(detect(cameras, people, 1.0, np.random.default_rng(0)), cameras, 20, 30.0, *limits)
+        groups, _ = groups_and_returns(compared)
+        return min(compared.pairs.margins([group.members for group in groups]).values())
+
+    assert least_margin(arc(117)) < options.association.undecided_margin < least_margin(ring())
 
 
 @pytest.mark.parametrize("affinity", ["A13-both", "A13-position", "A13-pose"])

@@ -21,7 +21,7 @@ from studiorecon.people.association import terms
 from studiorecon.people.association.affinity import AssociationLimits
 from studiorecon.people.association.gaps import Return
 from studiorecon.people.association.group import Group
-from studiorecon.people.association.grouping import TrackComparison, groups_and_returns, track_margins
+from studiorecon.people.association.grouping import TrackComparison, groups_and_returns
 from studiorecon.people.association.picture_terms import picture_terms
 from studiorecon.people.association.rejected_people import RejectedPerson, list_rejected
 from studiorecon.people.association.terms import Term, total_nats
@@ -181,7 +181,7 @@ def _verdicts(
         tracks = [(cameras[v].name, t) for v, t in group.members]
         say(f"not a person of this scene: tracks {', '.join(f'{name}/{t}' for name, t in tracks)}: {reason}")
         table |= dict.fromkeys(tracks, TrackVerdict("", nan, reason))
-    margins = track_margins(kept, compared)
+    margins = compared.pairs.margins([group.members for group in kept])
     for number, group in enumerate(kept):
         for v, t in group.members:
             margin, doubt = margins[v, t], ""

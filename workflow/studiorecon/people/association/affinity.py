@@ -103,16 +103,15 @@ class TrackPairs:
         """(view, track) of each of the M."""
         return list(zip(self.graph.view.tolist(), self.graph.track.tolist()))
 
-    def margins(self, groups: Sequence[Sequence[int]]) -> Float[np.ndarray, " M"]:
-        """A track's mean affinity to its own group less that to the best other group (A12); NaN in no group."""
-        own = np.zeros((len(self.affinity), len(groups) + 1), dtype=bool)  # the last: nobody
-        for g, group in enumerate(groups):
-            own[list(group), g] = True
+    def margins(self, groups: Sequence[Sequence[tuple[int, int]]]) -> dict[tuple[int, int], float]:
+        """Mean affinity of every grouped (view, track) to its own group less that to the best other group (A12)."""
+        # The last: nobody.
+        own = np.array([[node in group for group in [*groups, ()]] for node in self.nodes]).reshape(-1, len(groups) + 1)
         # Mean over the comparable tracks, weighted by their length; 0 without any.
         weights = np.isfinite(self.affinity) * np.diagonal(self.graph.moments)
         near = (weights * np.nan_to_num(self.affinity)) @ own / np.maximum(weights @ own, 1e-12)
         margin = np.where(own, near, 0.0).sum(1) - np.where(own, 0.0, near).max(1)
-        return np.where(own.any(1), margin, np.nan)
+        return {node: float(m) for node, m, grouped in zip(self.nodes, margin, own.any(1)) if grouped}
 
 
 def require_measured(detections: Sequence[Detections], cameras: Sequence[Camera], limits: AssociationLimits) -> None:

@@ -129,13 +129,3 @@ def _stars(compared: TrackComparison) -> list[list[tuple[int, int]]]:
         if max(near, default=0.0) > 0:
             groups[int(np.argmax(near))].append(n)
     return [[pairs.nodes[n] for n in g] for g in groups if len(set(pairs.graph.view[g])) >= 2]
-
-
-def track_margins(groups: Sequence[Group], compared: TrackComparison) -> dict[tuple[int, int], float]:
-    """By how much every grouped (view, track) prefers its group to the next best one (A12).
-
-    Below ``undecided_margin`` it is undecided.
-    """
-    rows = [compared.rows(g) for g in groups]
-    found = compared.pairs.margins(rows)
-    return {m: float(found[n]) for g, own in zip(groups, rows) for m, n in zip(g.members, own)}
