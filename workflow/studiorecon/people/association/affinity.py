@@ -111,7 +111,7 @@ class TrackPairs:
         weights = np.isfinite(self.affinity) * np.diagonal(self.graph.moments)
         near = (weights * np.nan_to_num(self.affinity)) @ own / np.maximum(weights @ own, 1e-12)
         margin = np.where(own, near, 0.0).sum(1) - np.where(own, 0.0, near).max(1)
-        return {node: float(m) for node, m, grouped in zip(self.nodes, margin, own.any(1)) if grouped}
+        return {self.nodes[n]: float(margin[n]) for n in np.flatnonzero(own.any(1))}
 
 
 def require_measured(detections: Sequence[Detections], cameras: Sequence[Camera], limits: AssociationLimits) -> None:
@@ -205,7 +205,9 @@ def _pose_differences_rad(
     for a, b in zip(*np.nonzero(np.triu(comparable, 1))):
         one, other = graph.view[a], graph.view[b]
         _, i, j = np.intersect1d(detections[one].frame[rows[a]], detections[other].frame[rows[b]], return_indices=True)
-        first, second = ([p[which] for p in seen[v]] for v, which in ((one, rows[a][i]), (other, rows[b][j])))
+        first, second = (
+            (seen[v][0][which], seen[v][1][which]) for v, which in ((one, rows[a][i]), (other, rows[b][j]))
+        )
         apart = posture_differences_rad(first, second, limits.pose_distance)
         if np.isfinite(apart).any():
             out[a, b] = out[b, a] = np.median(apart[np.isfinite(apart)])
