@@ -366,7 +366,7 @@ def test_who_walks_in_or_comes_back_is_there_while_measured_and_reported_when_no
     fit.report_filled_frames(person)
     reported = capsys.readouterr().out
     assert "p0: frames 8–9, 20–21, 33–34 are interpolated" in reported
-    assert "p0: frames 0–7, 22–32: no camera determines the position of p0" in reported
+    assert "p0: no camera determines the position in frames 0–7, 22–32" in reported
     # One camera that keeps sight of them says that they were there all the time.
     between = np.zeros(FRAMES, bool)
     between[20:35:5] = True
