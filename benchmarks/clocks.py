@@ -128,7 +128,7 @@ def by_people(films: list[Silent], fps: float, uneven: bool, draw: int) -> list[
         paths = [Path(folder) / f"{name}.npz" for name in names]
         for film, path in zip(films, paths, strict=True):
             write_detections(path, sighted(film, (10 * draw, 10 * draw + 1), rng))
-        found, _, reference = clocks.estimate_clocks(names, [None] * 3, lines, paths, paths, {})
+        found, _, reference = clocks.estimate_clocks(names, [None] * 3, lines, [], {}, paths, {})
     rows = []
     for k, verdict in enumerate(found):
         if k != reference:

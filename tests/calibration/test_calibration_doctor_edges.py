@@ -15,7 +15,7 @@ import pytest
 from studiorecon.calibration import choose, doctor, files
 from studiorecon.calibration.checks import doctor_page
 from studiorecon.calibration.checks.advice import verdict
-from studiorecon.clocks import offsets
+from studiorecon.clocks import moments, offsets
 from studiorecon.detect import keypoints
 from studiorecon.plan.discovery import open_dataset
 from studiorecon.rig.room_picture import RoomPicture
@@ -173,7 +173,9 @@ def test_of_a_real_man_s_two_calibrations_edges_contradict_the_hand_picked_one(
         keypoints.run(loaded(tracks_keypoints.Settings), c, [dataset.keypoints[c]], *recorded, reported, *found)
     seen = [out / f"{c}.npz" for c in names]
     clocks = out / "clocks.json", out / "sync.json"
-    offsets.run(loaded(offsets.Settings), names, footage, seen, "{}", 0, 0, *clocks)
+    lags = out / "lags.json"
+    moments.run(loaded(offsets.Settings), names, footage, "{}", 0, 0, 0, lags, out / "moments.json")
+    offsets.run(loaded(offsets.Settings), names, footage, seen, lags, "{}", 0, 0, *clocks)
     sizes, written = [out / f"{c}.json" for c in names], (out / "doctor.json", out / "doctor.html")
     doctor.run(loaded(doctor.Settings), "single", calibrated, names, footage, seen, sizes, *clocks, *written)
     report = json.loads(written[0].read_text())

@@ -14,6 +14,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from studiorecon.clocks import moments as moments_step
 from studiorecon.clocks import offsets as clocks_step
 from studiorecon.clocks.motion import motion_lag
 from studiorecon.clocks.people import people_lags
@@ -57,11 +58,14 @@ def find(default_settings: Callable[..., dict[str, Any]], tmp_path: Path) -> Cal
         for d in seen:
             write_detections(tmp_path / f"{d.camera}.npz", d)
         settings = load(clocks_step.Settings, default_settings("clocks", sync=sync), "clocks")
+        cameras, lags = [r.name for r in recorders], tmp_path / "lags.json"
+        moments_step.run(settings, cameras, paths, starts, 0, count, 0, lags, tmp_path / "moments.json")
         clocks_step.run(
             settings,
-            [r.name for r in recorders],
+            cameras,
             paths,
             [tmp_path / f"{d.camera}.npz" for d in seen],
+            lags,
             starts,
             0,
             count,

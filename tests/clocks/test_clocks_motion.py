@@ -8,9 +8,10 @@ from collections.abc import Mapping
 import numpy as np
 import pytest
 from studiorecon.clocks import offsets
+from studiorecon.clocks.motion import motion_lags
 from studiorecon.clocks.offsets import ClockVerdict
 from studiorecon.clocks.posterior import Lag, Source
-from studiorecon.clocks.timeline import Timeline
+from studiorecon.clocks.timeline import Timeline, clock_as_filmed
 
 FPS, SECONDS, CAMERAS = 30.0, 10.0, 9
 # Who walks round a ring of eight cameras is nearest to one after the other.
@@ -32,15 +33,13 @@ def circling(late_s: Mapping[int, float]) -> list[np.ndarray]:
 
 def verdicts(monkeypatch: pytest.MonkeyPatch, late_s: Mapping[int, float], from_people: int) -> list[ClockVerdict]:
     """What is made of such pictures where people tell the clocks of the first ``told_by_people`` cameras."""
-    energies = iter(circling(late_s))
     in_step = [Lag(Source("people"), 0, c, late_s.get(c, 0.0), 0.001, 0.005) for c in range(1, from_people)]
     monkeypatch.setattr(offsets.people, "people_lags", lambda *_: (in_step, {}))
-    monkeypatch.setattr(offsets.motion, "read_motion_energy", lambda _: next(energies))
-    monkeypatch.setattr(offsets, "read_sound", lambda _: None)
     source = type("Source", (), {"wh": (640, 360)})()
     lines = [Timeline(FPS, round(SECONDS * FPS), 0.0)] * CAMERAS
     names = [f"cam{c}" for c in range(CAMERAS)]
-    return offsets.estimate_clocks(names, [source] * CAMERAS, lines, [None] * CAMERAS, [], {})[0]  # type: ignore[list-item]
+    moved, still = motion_lags(circling(late_s), [clock_as_filmed(c, line) for c, line in zip(names, lines)], FPS)
+    return offsets.estimate_clocks(names, [source] * CAMERAS, lines, moved, {"motion": still}, [], {})[0]  # type: ignore[list-item]
 
 
 def test_who_walks_in_a_circle_does_not_shift_the_cameras_that_see_nobody(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -201,7 +201,7 @@ def test_found_people_survive_the_file(tmp_path: Path) -> None:
     mask = rng.integers(0, 255, (8, 8), dtype=np.uint8)
     rows = [(t, rng.random((33, 3)), 0.9, rng.random((33, 3)), mask, rng.random((2, 3))) for t in (3, 4)]
     for given in (rows, []):
-        found = RawDetections.of("left", LAYOUT, 33, given, (3, 9), "made")
+        found = RawDetections.of("left", LAYOUT, 33, given, [(3, 9)], "made")
         write_raw_detections(tmp_path / "left.npz", found)
         assert is_detector_file(tmp_path / "left.npz")
         back = read_raw_detections(tmp_path / "left.npz", masks=True)

@@ -25,7 +25,7 @@ import cv2
 import numpy as np
 from studiorecon.calibration import choose, doctor, files
 from studiorecon.camera_files.calibration import read_calibration
-from studiorecon.clocks import offsets
+from studiorecon.clocks import moments, offsets
 from studiorecon.detect import keypoints as recorded
 from studiorecon.errors import UserError
 from studiorecon.keypoints.readers import read_keypoints
@@ -116,8 +116,10 @@ def _steps(data: Dataset, work: Path) -> tuple[dict[str, np.ndarray], list[str]]
         loaded(choose.Settings), work / "read.json", cameras, films, sightings, pixel_maps, 30.0, list(told_by),
         calibration,
     )  # fmt: skip
+    lags, part = work / "lags.json", (json.dumps(dict(data.starts)), data.first_frame, data.frame_count)
+    moments.run(loaded(offsets.Settings), cameras, films, *part, 0, lags, work / "moments.json")
     offsets.run(
-        loaded(offsets.Settings), cameras, films, sightings, json.dumps(dict(data.starts)), data.first_frame,
+        loaded(offsets.Settings), cameras, films, sightings, lags, json.dumps(dict(data.starts)), data.first_frame,
         data.frame_count, clocks, sync, [calibration],
     )  # fmt: skip
     common = read_clocks(clocks)

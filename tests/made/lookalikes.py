@@ -113,7 +113,7 @@ def looked_at(
             for t, seen in enumerate(detect_people(pictures, detector, FPS))
             for one in seen
         ]
-        raw = RawDetections.of(camera.name, LAYOUT, LANDMARKS, rows, (0, about.frames), "made")
+        raw = RawDetections.of(camera.name, LAYOUT, LANDMARKS, rows, [(0, about.frames)], "made")
         write_raw_detections(folder / f"{camera.name}.npz", raw)
         footage = Footage(
             *(camera.name, False, camera.wh, camera.intrinsics.tolist(), FPS, about.frames, 0, "", "", camera.wh),

@@ -126,7 +126,12 @@ def _detections(path: Path, k: int) -> None:
 
 def _raw(path: Path, k: int) -> None:
     rng = _rng(k)
-    more = {"presence": rng.uniform(0.2, 1, T), "points_m": rng.normal(size=(T, 17, 3)), "looked": (0, T), "note": "x"}
+    more = {
+        "presence": rng.uniform(0.2, 1, T),
+        "points_m": rng.normal(size=(T, 17, 3)),
+        "looked": [(0, T)],
+        "note": "x",
+    }
     mask = rng.integers(0, 256, (T, 4, 4)).astype(np.uint8)
     write_raw_detections(
         path, RawDetections(**_found(k), **more, mask=mask, mask_from_picture=rng.normal(size=(T, 2, 3)))

@@ -34,7 +34,7 @@ def scene() -> DetectorMasks:
         (6, np.ones((33, 3)), 0.9, np.zeros((33, 3)), m, a)
         for m, a in ((half, affine), (255 - half, affine - [[0, 0, 32.0], [0, 0, 0]]))
     ]
-    found = RawDetections.of("left", "blazepose33", 33, rows, (5, 3), "made")
+    found = RawDetections.of("left", "blazepose33", 33, rows, [(5, 3)], "made")
     keypoints = np.full((3, 33, 3), 0.5)
     keypoints[2, :, 2] = 0.1  # a second, less sure track of p0 must not speak for it
     detections = Detections(

@@ -143,7 +143,7 @@ def test_what_is_found_again_joins_the_persons_track_and_brings_its_mask(replace
     new = result.row == 40
     assert new.sum() == 1
     np.testing.assert_array_equal(result.keypoints[new][0], keypoints)
-    whole = RawDetections.of("left", LAYOUT, 33, [], (0, FRAMES), "made")
+    whole = RawDetections.of("left", LAYOUT, 33, [], [(0, FRAMES)], "made")
     grown = whole.grown([(3, keypoints, 0.9, seen.points_m, seen.mask, region.crop_from_picture(MASK_PX))])
     assert grown.mask.shape == (1, MASK_PX, MASK_PX)
     assert replace(grown, note="").frame.tolist() == [3]

@@ -102,7 +102,7 @@ class Room:
                 mask = cv2.dilate(mask, np.ones((5, 5), np.uint8))
                 rows.append((int(frame), keypoints, 0.97, np.zeros((17, 3)), mask, affine))
             write_raw_detections(
-                file, RawDetections.of(camera.name, "coco17", 17, rows, (0, len(self.true[0])), "made")
+                file, RawDetections.of(camera.name, "coco17", 17, rows, [(0, len(self.true[0]))], "made")
             )
         return CameraEvidence(lens, about, file, plate)
 

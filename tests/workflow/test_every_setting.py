@@ -33,7 +33,7 @@ PLANNED: dict[str, set[str] | None] = {
     "licences": set(),
     "people.identities": None,
     "detect.network": None,  # one that has to be there
-    "detect.network_layout": {"detect_people", "people_second_look", "cameras_held_out"},
+    "detect.network_layout": {"detect_moments", "detect_people", "people_second_look", "cameras_held_out"},
     "depth.reference": None,  # another calibration's
     "views.people": None,  # of masks by a network
     # Another source is another rule's work.
@@ -41,7 +41,7 @@ PLANNED: dict[str, set[str] | None] = {
     "views.synthesizer": {"views_synthesize"},
     # An effect forced on is another network in the training of people.
     "survey.force": {"humans_train"},
-    "capture.picture_fps": {"detect_people", "people_second_look", "detect_keypoints"},
+    "capture.picture_fps": {"detect_moments", "detect_people", "people_second_look", "detect_keypoints"},
 }
 # The page prints the settings that a result may depend on.
 SHOWN = "report_page"

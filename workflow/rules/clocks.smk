@@ -1,6 +1,34 @@
 # Clocks: when every camera was started, and which frame of each shows which moment.
 
 
+rule clocks_moments:
+    input:
+        sources=files.all_footage,
+    output:
+        lags="results/{scene}/clocks/lags.json",
+        moments="results/{scene}/clocks/moments.json",
+    log:
+        "logs/{scene}/clocks/moments.log",
+    benchmark:
+        "timings/{scene}/clocks/moments.tsv"
+    container:
+        image("core")
+    threads: 1
+    resources:
+        mem_mb=memory(1000),
+    params:
+        settings=settings("clocks.moments"),
+        code=code("clocks.moments"),
+        cameras=PLAN.cameras,
+        starts=json.dumps(dict(PLAN.dataset.starts)),
+        first_frame=PLAN.dataset.first_frame,
+        frame_count=PLAN.dataset.frame_count,
+        # Cameras without a calibration are made from all that people do.
+        whole=int(PLAN.from_people),
+    shell:
+        command("clocks.moments")
+
+
 rule clocks_offsets:
     input:
         sources=files.all_footage,
@@ -9,6 +37,7 @@ rule clocks_offsets:
             camera=PLAN.person_sources.clock_cameras,
             allow_missing=True,
         ),
+        lags="results/{scene}/clocks/lags.json",
         # The user's own files alone: cameras found from people hang on clocks.
         calibration=branch(PLAN.calibrated, then="results/{scene}/calibration/calibration.json"),
     output:

@@ -8,9 +8,9 @@ from typing import TYPE_CHECKING, TypeVar
 
 import numpy as np
 
-from studiorecon.arrays import spread_indices
 from studiorecon.geometry.triangulation import Limits, triangulate
 from studiorecon.keypoints.detections import to_pinhole
+from studiorecon.rig.active_cameras import shared_frames
 from studiorecon.rig.correspondences import Observations, make_observations
 from studiorecon.rig.human_size import ADULTS_M, MIN_BONES, statures_m
 from studiorecon.scene.camera import Camera, Lens
@@ -20,7 +20,7 @@ if TYPE_CHECKING:
     from jaxtyping import Float, Integer
 
 T = TypeVar("T")
-# Frames on which people judge a calibration, spread over the take.
+# Frames on which people judge a calibration, spread over those that show them.
 FRAMES = 24
 # As where cameras are judged on people; wide, since a calibration may be slightly off and still be the right one.
 _GATE_M = 0.25
@@ -64,11 +64,10 @@ def _sample_observations(
     lenses: Sequence[Lens], sizes: Sequence[tuple[int, int]], people: Sequence[Detections]
 ) -> tuple[Integer[np.ndarray, " F"], list[Camera], Observations | None]:
     """Some frames, the lenses' pinholes, and what these see of people in those frames; None for nobody."""
-    last = max((int(d.frame.max()) for d in people if len(d.frame)), default=-1)
-    frames = spread_indices(last + 1, FRAMES) if last >= 0 else np.zeros(0, int)
+    frames = shared_frames(people, FRAMES)
     both = [to_pinhole(d, lens, wh) for d, lens, wh in zip(people, lenses, sizes, strict=True)]
     cameras, seen = [c for c, _ in both], [d for _, d in both]
-    if not any(len(d.frame) for d in seen):
+    if not len(frames):
         return frames, cameras, None
     found, _ = make_observations(seen, cameras, frames, _GATE_M)
     return frames, cameras, found if len(found.frame) else None

@@ -17,16 +17,22 @@ from typing import Any, Literal
 import numpy as np
 
 from studiorecon.camera_files.calibration import read_lenses
-from studiorecon.clocks import motion, people, sound
-from studiorecon.clocks.posterior import MAX_HALF_S, Offset, choose_reference, estimate_offsets
+from studiorecon.clocks import people
+from studiorecon.clocks.posterior import (
+    MAX_HALF_S,
+    Lag,
+    Offset,
+    choose_reference,
+    estimate_offsets,
+    read_lags,
+)
 from studiorecon.clocks.timeline import Timeline, clock_as_filmed, common_moments, read_timeline
 from studiorecon.configuration.setting import setting
 from studiorecon.errors import UserError
 from studiorecon.footage.duplicate_films import compare_views
-from studiorecon.footage.sound_track import read_sound
 from studiorecon.footage.source import FootageSource, PictureRate, open_source, timing_irregularities
 from studiorecon.keypoints.film_colours import colour_notes
-from studiorecon.progress import progress, say, warn
+from studiorecon.progress import say, warn
 from studiorecon.scene.camera import Lens
 from studiorecon.scene.clocks import Clock, write_clocks
 from studiorecon.scene.files import write_json
@@ -119,23 +125,23 @@ def estimate_clocks(
     cameras: Sequence[str],
     sources: Sequence[FootageSource | None],
     lines: Sequence[Timeline],
-    paths: Sequence[Path],
+    signals: Sequence[Lag],
+    without: Mapping[str, dict[int, str]],
     sightings: Sequence[Path],
     lenses: Mapping[str, Lens],
 ) -> tuple[list[ClockVerdict], list[dict[str, Any]], int]:
-    """A verdict with its evidence for every camera, and the index of the reference; ``lenses`` may be given."""
+    """A verdict with its evidence for every camera, and the index of the reference.
+
+    ``signals`` are the lags by sound and motion, ``without`` the reasons of cameras without one, by source; ``lenses``
+    may be given.
+    """
     clocks = [clock_as_filmed(c, line) for c, line in zip(cameras, lines)]
     rate, count = float(np.median([c.fps for c in clocks])), len(cameras)
-    why: dict[str, dict[int, str]] = {}
-    heard, why["sound"] = sound.sound_lags([read_sound(p) if s else None for p, s in zip(paths, sources)], lines)
+    why = dict(without)
     sized = {c: (lenses[c], source.wh) for c, source in zip(cameras, sources) if source and c in lenses}
     seen = [read_detections(p) for p in sightings]
     met, why["people"] = people.people_lags(seen, clocks, rate, sized)
-    lags = heard + met
-    if any(len({lag.source for lag in lags if c in (lag.first, lag.second)}) < 2 for c in range(count)):
-        energies = [motion.read_motion_energy(s) if s else np.zeros(0) for s in progress(sources, "motion")]
-        moved, why["motion"] = motion.motion_lags(energies, clocks, rate)
-        lags += moved
+    lags = [*signals, *met]
     reference = choose_reference(lags, count)
     together = estimate_offsets(lags, count, reference)
     names = list(dict.fromkeys(lag.source.name for lag in lags))
@@ -200,6 +206,7 @@ def run(
     cameras: list[str],
     sources: list[Path],
     sightings: list[Path],
+    lags: Path,
     starts: str,
     first_frame: int,
     frame_count: int,
@@ -209,12 +216,12 @@ def run(
 ) -> None:
     """Write ``clocks`` (used by all later steps) and ``findings`` (the evidence) of the footage ``sources``, both JSON.
 
-    ``sightings`` exist for cameras with known people, in any order. ``starts``: JSON, camera → frame of its footage at
-    one common moment, from the user; then that counts. ``first_frame`` and ``frame_count`` choose among the moments
-    that all cameras have (0: all). ``calibration``: none or one file, the user's own, which makes people's evidence
-    sharper.
+    ``sightings`` exist for cameras with known people, in any order; ``lags`` are those by sound and motion. ``starts``:
+    JSON, camera → frame of its footage at one common moment, from the user; then that counts. ``first_frame`` and
+    ``frame_count`` choose among the moments that all cameras have (0: all). ``calibration``: none or one file, the
+    user's own, which makes people's evidence sharper.
     """
-    opened, lines = _opened(sources, settings.picture_fps)
+    opened, lines = open_films(sources, settings.picture_fps)
     made = [clock_as_filmed(c, line) for c, line in zip(cameras, lines)]
     for clock, source in zip(made, sources):
         if clock.times_s:
@@ -226,7 +233,7 @@ def run(
     given: Mapping[str, float] = json.loads(starts)
     if settings.sync != "never" and len(cameras) > 1:
         lenses = read_lenses(calibration[0]) if calibration else {}
-        verdicts, found, reference = estimate_clocks(cameras, opened, lines, sources, sightings, lenses)
+        verdicts, found, reference = estimate_clocks(cameras, opened, lines, *read_lags(lags), sightings, lenses)
         # Cameras that were not started together: then an unknown clock matters.
         apart = any(f["kind"] == "found" for f in found)
         for f in found:
@@ -258,7 +265,7 @@ def run(
     say(f"{common.frames} moments at {common.fps:g} per second: {used}")
 
 
-def _opened(sources: Sequence[Path], picture_fps: float) -> tuple[list[FootageSource | None], list[Timeline]]:
+def open_films(sources: Sequence[Path], picture_fps: float) -> tuple[list[FootageSource | None], list[Timeline]]:
     """Every camera's footage as far as readable; otherwise a message, and the others' timeline until it is decoded."""
     opened: list[FootageSource | None] = []
     lines: list[Timeline | None] = []

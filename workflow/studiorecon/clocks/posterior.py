@@ -8,15 +8,20 @@ outliers of each source is estimated too. Offsets that explain the lags about eq
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
-from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict, dataclass, replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from scipy.optimize import brentq
 from scipy.sparse import csr_array
 from scipy.sparse.csgraph import maximum_flow
 from scipy.special import expit, gammaln, ndtr
+
+from studiorecon.scene.files import write_json
+from studiorecon.scene.schema import ListOf, MappingOf, real, seconds, text, whole
+from studiorecon.scene.step_files import read
 
 if TYPE_CHECKING:
     from jaxtyping import Float
@@ -55,6 +60,40 @@ class Lag:
     outlier_probability: float
     drift_ppm: float = 0.0
     drift_sigma_ppm: float = math.inf
+
+
+_LAGS = {
+    "lags": ListOf(
+        {
+            "source": {"name": text(), "bias_s": seconds(low=0)},
+            **dict.fromkeys(("first", "second"), whole(low=0)),
+            "offset_s": seconds(),
+            "sigma_s": seconds(low=0),
+            "outlier_probability": real(low=0, high=1),
+            "drift_ppm": real(unit="ppm"),
+            "drift_sigma_ppm": real(low=0, gaps=True, unit="ppm"),
+        }
+    ),
+    "without": MappingOf(MappingOf(text())),
+}
+
+
+def write_lags(path: Path, lags: Sequence[Lag], without: Mapping[str, Mapping[int, str]]) -> None:
+    """Write lags, and by source the reason for every camera (by its index) without one."""
+    write_json(path, {"lags": [asdict(lag) for lag in lags], "without": without})
+
+
+def read_lags(path: Path) -> tuple[list[Lag], dict[str, dict[int, str]]]:
+    """What ``write_lags`` wrote; raises UserError as ``step_files.read`` does."""
+
+    def made(value: dict[str, Any]) -> tuple[list[Lag], dict[str, dict[int, str]]]:
+        lags = [
+            Lag(**{**one, "source": Source(**one["source"]), "drift_sigma_ppm": one["drift_sigma_ppm"] or math.inf})
+            for one in value["lags"]
+        ]
+        return lags, {name: {int(c): why for c, why in own.items()} for name, own in value["without"].items()}
+
+    return read(path, _LAGS, made)
 
 
 @dataclass(frozen=True)

@@ -70,7 +70,8 @@ def run(
         about = replace(about, wh=filmed.wh)
         if is_detector_file(keypoints[0]):
             whole = read_raw_detections(keypoints[0])
-            found = detections_from_detector(whole, *_as_filmed(camera, filmed, sum(whole.looked), pixel_map), settings)
+            stop = max((sum(stretch) for stretch in whole.looked), default=0)
+            found = detections_from_detector(whole, *_as_filmed(camera, filmed, stop, pixel_map), settings)
             own, what = _none(whole.note, ""), whole.note
         else:
             rest = dict(zip(other_cameras, others, strict=True))

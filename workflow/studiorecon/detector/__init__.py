@@ -3,7 +3,8 @@
 33 landmarks, masks and a track.
 
 * ``movenet`` finds people in a whole picture, ``crops`` cuts one out, ``blazepose`` places landmarks in the crop;
-* ``frame_detection`` runs them on one picture, ``tracking`` on all frames of a camera;
+* ``frame_detection`` runs them on one picture, ``tracking`` on successive ones, ``film_detection`` on stretches of a
+  film;
 * ``second_network`` adds a network of the user (``top_down``: one person a crop, ``one_stage``: the whole picture);
   ``network_files`` opens both;
 * ``film_rotation`` measures whether a film is turned.

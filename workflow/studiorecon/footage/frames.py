@@ -61,7 +61,7 @@ def decode(
     form = source.form
     assert form is not None
     missing: list[int] = []
-    yield from form.pictures(islice(_video_frames(source, missing), first, stop))
+    yield from form.pictures(_frames_from(source, first, stop, missing))
     missing = [number for number in missing if number >= first]
     if damaged is not None:
         damaged += missing
@@ -153,6 +153,29 @@ def small_grey(source: FootageSource, width: int, count: int) -> Iterator[Intege
             yield grey.to_ndarray()
 
 
+def _frames_from(source: FootageSource, first: int, stop: int, damaged: list[int]) -> Iterator[av.VideoFrame]:
+    """The frames ``first`` to ``stop`` − 1; those deep in a film are sought, unless seeking does not reach one."""
+    begin = 0
+    for part in source.parts:
+        low, high = max(first - begin, 0), min(stop - begin, part.frames)
+        if low < high:
+            own: list[int] = []
+            yield from _frames_from(part, low, high, own)
+            damaged += [begin + number for number in own]
+        begin += part.frames
+    if source.parts:
+        return
+    done = first
+    if first > _FRAMES_READ and source.carried:
+        with suppress(av.FFmpegError, IndexError), open_container(source.path) as container:
+            for frame in _frames_at(source, container, range(first, stop)):
+                if frame is None:
+                    break
+                done += 1
+                yield frame
+    yield from islice(_video_frames(source, damaged), done, stop) if done < stop else ()
+
+
 def _small(wh: tuple[int, int], shrink: float) -> tuple[int, int]:
     return max(2, round(wh[0] / shrink)), max(2, round(wh[1] / shrink))
 
@@ -167,10 +190,10 @@ def _frames_at(
     half_s = 0.5 / source.fps
     last: av.VideoFrame | None = None
     frames: Iterator[av.VideoFrame] = iter(())
-    for index in wanted:
+    for before, index in zip([-1, *wanted], wanted):
         target_s = source.times_s[index]
         half_s = 0.5 * min(np.diff(source.times_s[max(index - 1, 0) : index + 2]), default=1 / source.fps)
-        if last is None or _key_frame_between(stream, last.time, target_s):
+        if last is None or (index > before + 1 and _key_frame_between(stream, last.time, target_s)):
             container.seek(int(target_s / stream.time_base), stream=stream, backward=True)
             frames, last = source.form.without_fields(_of_one_size(source, shown_frames(container, stream))), None
         while last is None or last.time < target_s - half_s:

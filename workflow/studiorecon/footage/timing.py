@@ -202,11 +202,12 @@ def _packets(path: Path) -> _Packets:
     try:
         with open_container(path) as container:
             stream = film_stream(container)
+            base = stream.time_base
             for packet in container.demux(stream):
                 whole = whole and not packet.is_corrupt
                 if packet.size and not packet.is_discard:
-                    shown.append(_time_s(packet.pts, packet.time_base))
-                    decoded.append(_time_s(packet.dts, packet.time_base))
+                    shown.append(_time_s(packet.pts, base))
+                    decoded.append(_time_s(packet.dts, base))
                 else:  # the last packet only marks the end
                     hidden += bool(packet.size) or packet.dts is not None
     except av.FFmpegError as error:
@@ -277,7 +278,8 @@ def _of_one_size(path: Path, times_s: np.ndarray) -> tuple[int, tuple[int, int] 
 
 
 def _time_s(stamp: int | None, time_base: Fraction | None) -> float:
-    return np.nan if stamp is None or time_base is None else float(stamp * time_base)
+    # As float(stamp * time_base), without making a fraction per frame.
+    return np.nan if stamp is None or time_base is None else stamp * time_base.numerator / time_base.denominator
 
 
 def _ascending(times_s: np.ndarray) -> bool:

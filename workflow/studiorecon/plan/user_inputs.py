@@ -102,17 +102,18 @@ class UserInputs:
         return [self.in_dataset(film) for film in self.plan.dataset.chapters[wildcards.camera]]
 
     def keypoints(self, wildcards: Any) -> list[str]:
-        """Keypoints of one camera: recorded ones, of every chapter where they exist per chapter, or the detector's."""
+        """Keypoints of one camera: recorded ones, of every chapter where they exist per chapter, or the detector's of
+        some moments."""
         camera = wildcards.camera
         if camera in (*self.plan.person_sources.detector_cameras, *self.plan.person_sources.scale_cameras):
-            return [f"results/{wildcards.scene}/detect/found/{camera}.npz"]
+            return [f"results/{wildcards.scene}/detect/moments/{camera}.npz"]
         recorded = self.plan.dataset.chapter_keypoints.get(camera, (self.plan.dataset.keypoints[camera],))
         return [self.in_dataset(path) for path in recorded]
 
     def read_keypoints(self, wildcards: Any) -> list[str]:
-        """Keypoints of one camera after recorded ones have been read and compared with their film."""
+        """Keypoints of one camera: all of the detector's, or recorded ones after comparison with their film."""
         if wildcards.camera in (*self.plan.person_sources.detector_cameras, *self.plan.person_sources.scale_cameras):
-            return self.keypoints(wildcards)
+            return [f"results/{wildcards.scene}/detect/found/{wildcards.camera}.npz"]
         return [f"results/{wildcards.scene}/detect/recorded/{wildcards.camera}.npz"]
 
     def keypoints_of_other_cameras(self, camera: str) -> list[str]:

@@ -4,14 +4,28 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from typing import TYPE_CHECKING
 
 import numpy as np
 
+from studiorecon.arrays import spread_indices
 from studiorecon.scene.people import Detections
+
+if TYPE_CHECKING:
+    from jaxtyping import Integer
 
 # False detections in furniture last for some frames. They are no evidence of a camera's pose if they last less than
 # this, and for less than such a share of the frames in which the camera that shows most of people does.
 _LONG_S, _HARDLY = 1.0, 0.2
+
+
+def shared_frames(detections: Sequence[Detections], wanted: int) -> Integer[np.ndarray, " F"]:
+    """At most ``wanted`` frames, evenly spread over those in which two cameras show people."""
+    shown = [np.unique(d.frame) for d in detections]
+    frames, cameras = np.unique(np.concatenate([*shown, np.zeros(0, int)]), return_counts=True)
+    frames = frames[cameras > 1]
+    chosen: np.ndarray = frames[spread_indices(len(frames), wanted)]
+    return chosen
 
 
 def active_cameras(detections: Sequence[Detections], fps: float) -> list[int]:

@@ -16,7 +16,8 @@ These modules import nothing of this package but errors, arrays and progress:
 * ``files``: writes files completely or not at all; ``schema``: the fields of a file between steps; ``step_files``:
   reads such files and names a wrong field; ``spool``: arrays that do not fit into memory; ``dataset`` and
   ``capture_yaml``: the user's files;
-* ``camera``, ``path``, ``clocks``, ``readouts``, ``capture``: cameras, camera paths, times, and the working footage;
+* ``camera``, ``path``, ``clocks``, ``moments``, ``readouts``, ``capture``: cameras, camera paths, times, and the
+  working footage;
 * ``raw_detections``, ``recorded_keypoints``, ``keypoint_verdict``, ``people``: detections, how keypoints fit their
   film, identities, and bodies over time;
 * ``room``, ``gaussians``, ``gaussians_ply``, ``provenance``: the room box, Gaussians, and their provenance;

@@ -28,9 +28,11 @@ _FOUND = {
     "points_m": metres("D K 3", gaps=True),
     "mask": OptionalField(whole("D M M", low=0, high=255)),
     "mask_from_picture": real("D 2 3"),
-    "looked": whole("2", low=0),
+    "looked": whole("R 2", low=0),
     "note": text(),
+    "turns": whole(low=0, high=3),
 }
+_PER_DETECTION = ("frame", "keypoints", "presence", "points_m", "mask", "mask_from_picture")
 
 
 @dataclass(frozen=True)
@@ -45,8 +47,9 @@ class RawDetections:
         points_m: its estimate in metres relative to the middle of the hips, camera's axes; NaN = none.
         mask: uint8, 255 = certainly this person; M may be 0.
         mask_from_picture: affine map of footage pixels to those of the mask, centres at +0.5 on both sides.
-        looked: (first, count) of the pictures that were searched.
+        looked: (first, count) of every stretch of pictures that was searched.
         note: the detector and its input, for people to read.
+        turns: counter-clockwise quarter turns with which people are upright in the pictures.
     """
 
     camera: str
@@ -57,12 +60,13 @@ class RawDetections:
     points_m: Num[np.ndarray, "D K 3"]
     mask: Integer[np.ndarray, "D M M"]
     mask_from_picture: Num[np.ndarray, "D 2 3"]
-    looked: tuple[int, int]
+    looked: Sequence[tuple[int, int]]
     note: str
+    turns: int = 0
 
     @staticmethod
     def of(
-        camera: str, layout: str, points: int, rows: Sequence[tuple], looked: tuple[int, int], note: str
+        camera: str, layout: str, points: int, rows: Sequence[tuple], looked: Sequence[tuple[int, int]], note: str
     ) -> RawDetections:
         """The detections from rows (frame, keypoints, presence, points_m, mask, mask_from_picture), ordered by
         frame."""
@@ -88,13 +92,20 @@ class RawDetections:
         more = RawDetections.of(self.camera, self.layout, self.keypoints.shape[1], rows, self.looked, self.note)
         edge = more.mask.shape[1]
         own = replace(self, mask=self.mask.reshape(-1, edge, edge))
-        names = ("frame", "keypoints", "presence", "points_m", "mask", "mask_from_picture")
-        arrays: dict[str, Any] = {n: np.concatenate([getattr(own, n), getattr(more, n)]) for n in names}
+        arrays: dict[str, Any] = {n: np.concatenate([getattr(own, n), getattr(more, n)]) for n in _PER_DETECTION}
         return replace(own, **arrays)
+
+    def completed(self, rows: Sequence[tuple], looked: Sequence[tuple[int, int]]) -> RawDetections:
+        """The detections with rows (as for ``of``) of more stretches, ordered by frame; ``looked`` are then all."""
+        whole = self.grown(rows)
+        order = np.argsort(whole.frame, kind="stable")
+        arrays: dict[str, Any] = {n: getattr(whole, n)[order] for n in _PER_DETECTION}
+        return replace(whole, looked=sorted(looked), **arrays)
 
 
 def write_raw_detections(path: Path, found: RawDetections) -> None:
-    write_npz(path, {name: getattr(found, name) for name in RawDetections.__dataclass_fields__})
+    arrays = {name: getattr(found, name) for name in RawDetections.__dataclass_fields__}
+    write_npz(path, arrays | {"looked": np.array(found.looked, dtype=np.int64).reshape(-1, 2)})
 
 
 def is_detector_file(path: Path) -> bool:
@@ -112,9 +123,9 @@ def read_raw_detections(path: Path, masks: bool = False) -> RawDetections:
     """The detector's file, without masks unless ``masks``; raises UserError when the file does not exist."""
 
     def made(data: dict[str, Any]) -> RawDetections:
-        first, count = (int(v) for v in data["looked"])
+        looked = [(int(first), int(count)) for first, count in data["looked"]]
         texts = {name: str(data[name]) for name in ("camera", "layout", "note")}
         empty = {} if masks else {"mask": np.zeros((len(data["frame"]), 0, 0), np.uint8)}
-        return RawDetections(**{**data, **empty, **texts, "looked": (first, count)})
+        return RawDetections(**{**data, **empty, **texts, "looked": looked, "turns": int(data["turns"])})
 
     return read(path, _FOUND, made, but=() if masks else ("mask",))

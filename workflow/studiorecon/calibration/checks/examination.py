@@ -9,7 +9,6 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from studiorecon.arrays import spread_indices
 from studiorecon.calibration.checks import coverage as health
 from studiorecon.calibration.checks import sanity
 from studiorecon.calibration.checks.advice import verdict
@@ -19,7 +18,7 @@ from studiorecon.calibration.people_evidence import FRAMES
 from studiorecon.errors import UserError
 from studiorecon.geometry.camera_path import scene_centre
 from studiorecon.geometry.triangulation import Limits
-from studiorecon.rig.active_cameras import active_cameras, inactive_camera_notes
+from studiorecon.rig.active_cameras import active_cameras, inactive_camera_notes, shared_frames
 from studiorecon.rig.bundle import AgreementLimits, CalibrationPrior, error_medians, metres_per_px
 from studiorecon.rig.correspondences import Observations, make_observations
 from studiorecon.rig.human_size import check_human_size, check_units
@@ -60,8 +59,7 @@ def examine(
     films, ``refused`` and ``notes``. ``rooms``: without people, None where it was not computed.
     """
     names = [c.name for c in cameras]
-    frames = min(int(a["frames"]) for a in about)
-    chosen, people = spread_indices(frames, FRAMES), any(len(d.frame) for d in detections)
+    chosen, people = shared_frames(detections, FRAMES), any(len(d.frame) for d in detections)
     few = chosen[:: max(1, len(chosen) // 6)]
     fit = _fit_of_people(cameras, detections, chosen, settings)
     limit_px = settings.limit_px(cameras, fit.points_m)
@@ -75,7 +73,7 @@ def examine(
     if people:
         watched, good_px = active_cameras(detections, fps), 0.5 * limit_px
         refined = refine_on_people(
-            *(cameras, detections, watched, frames, fit.median_px, good_px), *described, settings.bundle, rooms
+            *(cameras, detections, watched, fit.median_px, good_px), *described, settings.bundle, rooms
         )
     if people and (fit.median_px is None or any(e is None or e > limit_px for e in fit.per_camera_px)):
         odd = find_outlier_camera(cameras, detections, chosen, *described)

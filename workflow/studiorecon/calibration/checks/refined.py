@@ -9,9 +9,9 @@ from typing import Any
 
 import numpy as np
 
-from studiorecon.arrays import spread_indices
 from studiorecon.geometry.bundle import BundleSettings
 from studiorecon.geometry.triangulation import Limits
+from studiorecon.rig.active_cameras import shared_frames
 from studiorecon.rig.bundle import error_medians, fit_cameras
 from studiorecon.rig.correspondences import Observations, make_observations
 from studiorecon.rig.moved_cameras import pose_changes, relocalise
@@ -71,7 +71,6 @@ def refine_on_people(
     cameras: Sequence[Camera],
     detections: Sequence[Detections],
     watched: Sequence[int],
-    frames: int,
     median_px: float | None,
     allowed_px: float,
     gate_m: float,
@@ -79,7 +78,7 @@ def refine_on_people(
     bundle: BundleSettings,
     rooms: Sequence[RoomPicture | None] = (),
 ) -> RefinedCameras | None:
-    """The refinement of ``cameras`` on people in ``frames`` frames; None where it would change nothing.
+    """The refinement of ``cameras`` on people; None where it would change nothing.
 
     ``watched`` are the indices of the cameras that see them. ``median_px``: their median error at the given poses, None
     where no three cameras agree; ``allowed_px``: the limit once moved cameras are corrected. ``rooms``: pictures of the
@@ -87,7 +86,7 @@ def refine_on_people(
     """
     if len(cameras) < 3 or len(watched) < 2:
         return None
-    chosen = spread_indices(frames, _FRAMES)
+    chosen = shared_frames(detections, _FRAMES)
     before_px = np.nan if median_px is None else median_px
     anew = relocalise(cameras, detections, watched, chosen, gate_m, 0.0, limits, bundle, before_px, allowed_px, rooms)
     seen = make_observations(detections, cameras, chosen, gate_m)[0] if anew is None else anew.seen
