@@ -71,6 +71,16 @@ def test_a_fault_of_a_step_names_place_and_file_and_keeps_its_trace(
     assert "Traceback" in log.read_text()
 
 
+def test_a_step_deletes_what_a_killed_one_left_of_its_outputs(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(chapters, "write_chapters", lambda path, films: (0, 0))
+    for name in (".partial-1-x", ".partial-22-x", ".partial-1-y-x", ".partial-1-x.npz"):
+        (tmp_path / name).touch()
+    (tmp_path / "a.mp4").touch()
+    words = ["detect.chapters", "--camera", "a", "--films", str(tmp_path / "a.mp4"), "--joined", str(tmp_path / "x")]
+    steps.main([*words, "--log", str(tmp_path / "step.log")])
+    assert sorted(path.name for path in tmp_path.glob(".partial-*")) == [".partial-1-x.npz", ".partial-1-y-x"]
+
+
 def test_a_fault_of_the_command_is_a_sentence_too(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:

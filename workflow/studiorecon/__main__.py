@@ -33,6 +33,7 @@ from studiorecon.machine.output import unbroken_output
 from studiorecon.machine.resource_errors import describe_resource_error, memory_note
 from studiorecon.models.catalogue.sandbox import confine_process
 from studiorecon.progress import LOGGER, fail, log_to, warn
+from studiorecon.scene.files import remove_remains
 from studiorecon.signature import Written
 
 _MAX_PIXELS = 2**28
@@ -118,8 +119,11 @@ def _run(module: types.ModuleType, step: str, options: dict, log: Path | None) -
             options["settings"] = settings_module.load(settings_type, values, step.split(".")[0])
         for changed in changed_files(step_paths(module.run, options, Path)):
             warn(changed)
+        outputs = list(step_paths(module.run, options, Written))
+        for path in outputs:
+            remove_remains(path)
         module.run(**build_arguments(module.run, options))
-        record_files(step, step_paths(module.run, options, Written))
+        record_files(step, outputs)
     except UserError as refusal:
         fail(f"{step}: {refusal}")
     except Exception as error:

@@ -7,6 +7,7 @@ import csv
 import json
 import math
 import os
+import re
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from pathlib import Path
@@ -21,6 +22,7 @@ __all__ = [
     "atomic_path",
     "read_json",
     "read_table",
+    "remove_remains",
     "require_one_each",
     "write_json",
     "write_npz",
@@ -54,6 +56,13 @@ def atomic_path(path: Path) -> Iterator[Path]:
         raise
     finally:
         partial.unlink(missing_ok=True)
+
+
+def remove_remains(path: Path) -> None:
+    """Delete what killed processes left of writing ``path``; nothing else may be writing it now."""
+    for partial in path.parent.glob(".partial-*"):
+        if re.fullmatch(rf"\.partial-\d+-{re.escape(path.name)}", partial.name):
+            partial.unlink(missing_ok=True)
 
 
 def write_text(path: Path, text: str) -> None:

@@ -21,7 +21,7 @@ import numba
 import numpy as np
 
 from studiorecon.progress import say
-from studiorecon.scene.files import atomic_path
+from studiorecon.scene.files import atomic_path, remove_remains
 
 if TYPE_CHECKING:
     from jaxtyping import Shaped
@@ -78,7 +78,7 @@ class Checkpoint:
 
     def remove(self) -> None:
         """Delete the file, the remains of an interrupted ``save``, and the folder when it is empty."""
-        for path in (self.path, *self.path.parent.glob(f".partial-*-{self.path.name}")):
-            path.unlink(missing_ok=True)
+        self.path.unlink(missing_ok=True)
+        remove_remains(self.path)
         if self.path.parent.is_dir() and not any(self.path.parent.iterdir()):
             self.path.parent.rmdir()
