@@ -32,7 +32,7 @@ from studiorecon.report.score import score
 ROOT = Path(__file__).resolve().parents[1]
 RESULT = Path(__file__).parent / "results" / "captures.json"
 TAKE, MAN = "pose2sim_balancing/single", ("cam01", "cam02", "cam03", "cam04")
-MEASURES = ("psnr", "ssim", "psnr_people", "ssim_people", "psnr_background", "ssim_background", "psnr_colour_corrected")
+MEASURES = ("psnr", "ssim", "psnr_people", "ssim_people", "psnr_background", "ssim_background")
 UNASSIGNED = 255
 FILMS = {"ours": "enhance/heldout.mkv", "render": "render/heldout.mkv"}
 

@@ -5,8 +5,8 @@ Inputs are (H, W[, 3]) arrays; outputs are arrays and figures. No files but plat
 
 * ``warp``, ``sizes``, ``blur``, ``regions``, ``silhouette``: fractional pixels, other sizes, binary pictures, meshes;
 * ``encoded``: pictures as PNG and JPEG; ``channels``: reductions over the channels of every pixel;
-* ``plate``, ``photometric_normalisation``, ``difference``, ``exposure``, ``colours``: the static background, constant
-  light, differences from the plate, and equal colours across cameras;
+* ``plate``, ``photometric_normalisation``, ``difference``, ``exposure``: the static background, constant
+  light, differences from the plate, and equal exposure across cameras;
 * ``texture_fill``: fills holes with repeats of the surface;
 * ``flow``, ``transfer`` (inner loops: ``lookup``): optical flow, and residuals of renders carried to other views;
 * ``metrics`` (inner loops: ``similarity``, ``temporal``), ``flip``, ``perceptual``: distance of a picture from the true

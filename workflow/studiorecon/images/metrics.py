@@ -16,7 +16,6 @@ import numpy as np
 
 from studiorecon.arrays import require
 from studiorecon.footage.video import to_bytes
-from studiorecon.images.colours import colour_map, squared_error_after_map
 from studiorecon.images.similarity import RADIUS, WINDOW, masked_sum, similarity_map, squared_error
 from studiorecon.images.temporal import change
 
@@ -73,20 +72,6 @@ def psnr(
     Raises ValueError for pictures or masks of two sizes.
     """
     return psnr_from_error_map(error_map(prediction, truth), mask)
-
-
-def colour_corrected_psnr(prediction: Num[np.ndarray, "H W 3"], truth: Num[np.ndarray, "H W 3"]) -> float | None:
-    """PSNR after the affine map of colours (3×3 and an offset) that brings the prediction closest to the truth.
-
-    It shows how much of an error is exposure and white balance; report it with the plain value (evaluation 1.6). Linear
-    least squares over all pixels, minimum norm for too few colours. Raises ValueError for pictures of two sizes.
-    """
-    require("truth", truth, ("H", "W", 3), require("prediction", prediction, ("H", "W", 3)))
-    shown, wanted = np.ascontiguousarray(to_levels(prediction)), np.ascontiguousarray(to_levels(truth))
-    count = shown.shape[0] * shown.shape[1]
-    if count < SMALLEST_MASK_PX:
-        return None
-    return decibels(squared_error_after_map(shown, wanted, colour_map(shown, wanted)) / (_SQUARES * count))
 
 
 def ssim_map(prediction: Num[np.ndarray, "H W C"], truth: Num[np.ndarray, "H W C"]) -> Float[np.ndarray, "H W"]:

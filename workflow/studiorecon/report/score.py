@@ -22,7 +22,6 @@ import numpy as np
 
 from studiorecon.errors import UserError
 from studiorecon.images.flow import one_thread
-from studiorecon.images.regions import dilate
 from studiorecon.models.protocols import PerceptualDistance
 from studiorecon.progress import progress, say
 from studiorecon.report.metrics.bootstrap import Bootstrap
@@ -39,7 +38,6 @@ from studiorecon.report.metrics.measures import (
     measure_sequence,
     summaries,
 )
-from studiorecon.report.metrics.truth import WIDE_PX
 from studiorecon.scene.files import write_json
 
 if TYPE_CHECKING:
@@ -56,7 +54,7 @@ _BOOTSTRAP = Bootstrap(samples=1000, seed=0)
 
 def people_regions(mask: Bool[np.ndarray, "H W"]) -> dict[str, Bool[np.ndarray, "H W"]]:
     """The regions of measurement from a mask (H, W) bool of people."""
-    return {"people": mask, "people_wide": dilate(mask, WIDE_PX), "background": ~mask}
+    return {"people": mask, "background": ~mask}
 
 
 def score_camera(

@@ -33,7 +33,6 @@ _SSIM = (
 )
 _REGIONS = {
     "people": "{people}, undilated",
-    "people_wide": "{people} dilated by 10 px, silhouettes included",
     "background": "outside the {people}",
     "seen": "surfaces of the room that a training camera sees at that time, by the {depth}, within seen_tolerance",
     "unseen": "surfaces of the room that no training camera sees at that time",
@@ -66,11 +65,7 @@ def definitions(net: str, estimated: bool = False) -> dict[str, dict[str, str]]:
         "ssim_3dgs": _entry(
             f"{_SSIM}; zero padding, mean over the whole picture, as the 3DGS lineage", "", "up", "none", ours
         ),
-        "psnr_colour_corrected": _entry(
-            "PSNR after the best affine map of colours, least squares", "dB", "up", "none", ours
-        ),
         "temporal_l1": _entry(f"mean absolute value of {_CHANGE}", "", "down", "none", with_flow),
-        "warp_square": _entry(f"mean square of {_CHANGE}", "", "down", "none", with_flow),
         "warp_rms": _entry(
             f"root of the mean square of {_CHANGE}: what papers call Warp-L2", "", "down", "none", with_flow
         ),

@@ -19,9 +19,8 @@ from studiorecon.body.model import BodyModel
 from studiorecon.body.silhouettes import person_depth_m
 from studiorecon.footage.exr import read_depth
 from studiorecon.footage.video import read_frames, read_frames_from
-from studiorecon.images.regions import dilate
 from studiorecon.images.warp import nearest_pixels
-from studiorecon.report.metrics.truth import WIDE_PX, is_visible
+from studiorecon.report.metrics.truth import is_visible
 from studiorecon.scene.camera import Camera
 from studiorecon.scene.people import Person
 
@@ -54,7 +53,7 @@ def estimated_regions(
     frames: int,
     tolerances: Sequence[float],
 ) -> Iterator[dict[str, Bool[np.ndarray, "H W"]]]:
-    """Masks of a held-out camera's frames: people, people_wide, background, and (un)seen at ``tolerances``.
+    """Masks of a held-out camera's frames: people, background, and (un)seen at ``tolerances``.
 
     ``start`` is the picture of the film at which the camera's own view begins. The tolerances are the usual, the strict
     and the loose one.
@@ -79,7 +78,7 @@ def estimated_regions(
             clear = next(masks[other.name])[rows, columns] == 0 if other.name in masks else True
             for total, each in zip(seen, visible):
                 total |= each & clear
-        regions = {"people": people_here, "people_wide": dilate(people_here, WIDE_PX), "background": ~people_here}
+        regions = {"people": people_here, "background": ~people_here}
         for suffix, each in zip(("", "_strict", "_loose"), seen):
             regions |= {f"seen{suffix}": known & each, f"unseen{suffix}": known & ~each}
         yield regions

@@ -20,7 +20,6 @@ from studiorecon.body.person_files import read_person
 from studiorecon.errors import UserError
 from studiorecon.footage.exr import read_depth
 from studiorecon.footage.video import read_frames
-from studiorecon.images.regions import dilate
 from studiorecon.images.warp import nearest_pixels, sample
 from studiorecon.scene.camera import CAMERA, Camera
 from studiorecon.scene.schema import ListOf
@@ -30,8 +29,6 @@ if TYPE_CHECKING:
     from jaxtyping import Bool, Float
 
 _PROPS = 255
-# The second variant of the people mask, 10 px wider all around, includes the silhouettes (evaluation 1.2).
-WIDE_PX = 21
 
 
 @dataclass(frozen=True)
@@ -144,7 +141,7 @@ def truth_regions(
             for total, each in zip(seen, visible):
                 total |= each & clear
         people = (labels > 0) & (labels < _PROPS)
-        found = {"people": people, "people_wide": dilate(people, WIDE_PX), "background": background}
+        found = {"people": people, "background": background}
         for suffix, each in zip(("", "_strict", "_loose"), seen):
             found |= {f"seen{suffix}": background & each, f"unseen{suffix}": background & ~each}
         if moving is not None:

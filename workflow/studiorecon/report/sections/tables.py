@@ -24,7 +24,6 @@ _MEASURES = (
     ("flip", "ꟻLIP ↓", "", 4, "perceptual distance that needs no weights, of some frames"),
     ("psnr_people", "PSNR, people ↑", "dB", 2, "pixels of people"),
     ("ssim_people", "SSIM, people ↑", "", 4, "windows inside people"),
-    ("psnr_people_wide", "PSNR, people and edges ↑", "dB", 2, "pixels of people and 10 px around them"),
     ("psnr_background", "PSNR, room ↑", "dB", 2, "all other pixels"),
     ("ssim_background", "SSIM, room ↑", "", 4, "all other pixels"),
     ("psnr_seen", "PSNR, seen ↑", "dB", 2, "surfaces of the room that some training camera sees at that time"),
@@ -39,13 +38,6 @@ _MEASURES = (
     ("psnr_people_seen", "PSNR, people seen ↑", "dB", 2, "surfaces of people that some training camera sees"),
     ("psnr_people_unseen", "PSNR, people unseen ↑", "dB", 2, "surfaces of people that no training camera sees"),
     (
-        "psnr_colour_corrected",
-        "PSNR, colours matched ↑",
-        "dB",
-        2,
-        "after the best affine map of colours, which removes exposure",
-    ),
-    (
         "temporal_l1",
         "flicker ↓",
         "",
@@ -53,7 +45,6 @@ _MEASURES = (
         "change against the previous picture moved along the photos' flow, mean absolute",
     ),
     ("warp_rms", "Warp-RMS ↓", "", 5, "the same, root mean square (papers: Warp-L2)"),
-    ("warp_square", "flicker, squared ↓", "", 6, "the same, mean square"),
     ("flicker_excess", "flicker excess", "", 5, "flicker minus that of the photos; below 0 is too smooth"),
 )
 
