@@ -3,7 +3,6 @@
 
 from __future__ import annotations
 
-import re
 from pathlib import Path
 
 import yaml
@@ -68,17 +67,3 @@ def test_a_depth_network_of_ones_own_is_planned_and_a_missing_one_refused(
     assert f"depth.network is '{own}', which is no file" in refused.stdout
     own.write_bytes(b"a network")
     assert {"depth_network": 1, "depth_refine": 3}.items() <= on(house, dataset).plan(*settings).items()
-
-
-def test_what_may_not_be_used_or_is_not_there_is_named_before_anything_runs(
-    house: House, dataset: Path, tmp_path: Path
-) -> None:
-    capture = on(house, dataset)
-    overlay = house.overlay(licences="commercial", detect={"source": "comotion"})
-    refused = capture.snakemake("--dry-run", "--configfile", overlay, check=False)
-    assert refused.returncode != 0
-    assert "detect.source is comotion, and CoMotion may not be used commercially" in refused.stdout
-    overlay = house.overlay(depth={"source": "precomputed", "precomputed": str(tmp_path)})
-    refused = capture.snakemake("--dry-run", "--configfile", overlay, check=False)
-    assert refused.returncode != 0
-    assert re.search(r"has no (left|right|back)\.exr or", refused.stdout)

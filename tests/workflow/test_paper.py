@@ -88,12 +88,3 @@ def test_a_setting_that_lacks_what_it_reads_is_refused(
     )
     assert refused.returncode != 0
     assert messages in refused.stdout
-
-
-def test_a_film_with_a_stranger_plans_the_photos_way_through_its_network(house: House, tmp_path: Path) -> None:
-    """A whole run in which a photo's person performs: cut, made canonical, filmed."""
-    (tmp_path / "anna.png").touch()
-    shots = {"guest": {"kind": "orbit", "frames": 4, "replace": {"p0": str(tmp_path / "anna.png")}}}
-    plan = house.plan("--configfile", house.overlay(render={"shots": shots}))
-    assert {"humans_stranger": 1, "humans_canonical": 1}.items() <= plan.items()
-    assert "humans_photo" not in plan

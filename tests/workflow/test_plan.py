@@ -34,14 +34,6 @@ def test_a_camera_that_was_started_early_is_read_from_its_own_frame_on(house: Ho
         assert words in reported
 
 
-def test_an_empty_room_has_no_people_mask_or_human_job(house: House, dataset: Path) -> None:
-    (dataset / "capture.yaml").write_text("people: 0\n")
-    plan = on(house, dataset).plan()
-    (dataset / "capture.yaml").unlink()
-    assert plan["background_train"] == 1
-    assert not [rule for rule in plan if rule.split("_")[0] in ("people", "masks", "humans")]
-
-
 def test_videos_and_a_calibration_are_enough(house: House, dataset: Path) -> None:
     (dataset / "keypoints").rename(dataset / "hidden")
     (dataset / "intri.yml").rename(dataset / "no calibration")
@@ -99,13 +91,6 @@ def test_a_missing_dataset_folder_is_named(house: House) -> None:
     done = House(house.folder, "nowhere").snakemake("--dry-run", "--cores", "1", check=False)
     assert done.returncode != 0
     assert "nowhere does not exist" in done.stdout
-
-
-def test_a_misspelt_setting_is_refused(house: House, dataset: Path) -> None:
-    overlay = house.overlay(depth={"plains": 3})
-    done = on(house, dataset).snakemake("--dry-run", "--cores", "1", "--configfile", overlay, check=False)
-    assert done.returncode != 0
-    assert "there is no setting depth.plains" in done.stdout
 
 
 @pytest.mark.parametrize("file", ["mine.yaml", "config/config.yaml"])

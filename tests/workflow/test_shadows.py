@@ -1,10 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Light and shadows are in the plan only when the survey calls for them and somebody is there."""
+"""Light and shadows are in the plan only when the survey calls for them."""
 
 from __future__ import annotations
 
 import json
-from pathlib import Path
 
 from tests.workflow.conftest import House
 
@@ -24,17 +23,3 @@ def test_light_is_estimated_when_shadows_move_and_not_otherwise(finished: House)
         assert "render_light" not in plans["off"]
     else:
         assert plans["off"]["render_shot"] == 1, "a film with shadows is made again without"
-
-
-def test_an_empty_room_needs_no_light(house: House, tmp_path: Path) -> None:
-    folder = tmp_path / "empty"
-    (folder / "videos").mkdir(parents=True)
-    for camera in ("left", "right", "back"):
-        (folder / "videos" / f"{camera}.mp4").touch()
-    for name in ("intri.yml", "extri.yml"):
-        (folder / name).touch()
-    (folder / "capture.yaml").write_text("people: 0\n")
-    there = House(house.folder, str(folder))
-    plan = there.plan("--configfile", there.overlay(survey={"force": {"moving_shadows": "on"}}))
-    assert plan["render_shot"] >= 1
-    assert "render_light" not in plan
