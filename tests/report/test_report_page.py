@@ -77,7 +77,7 @@ def opened(page: Path, *arguments: str, script: str = "") -> tuple[str, str]:
 
 def test_whom_association_left_out_stands_on_the_page_with_what_takes_them_in(reported: Path) -> None:
     text = (reported / "report/index.html").read_text(encoding="utf-8")
-    part = text.split("<h2>Left out</h2>")[1].split("<h2>")[0]
+    part = text.split("<h2>People left out</h2>")[1].split("<h2>")[0]
     for output in ("r0", "2.5 s", "left, right", "it has no &lt;depth&gt;", "left\t3\tp0\nright\t1\tp0"):
         assert output in part
     assert sections.rejected_people_table([]) == ""
