@@ -31,6 +31,7 @@ from studiorecon.body.model import BodyModel
 from studiorecon.calibration import doctor, from_people
 from studiorecon.calibration import files as calibration
 from studiorecon.cameras import refine
+from studiorecon.clocks import moments
 from studiorecon.clocks import offsets as clocks
 from studiorecon.detect import keypoints as sightings
 from studiorecon.geometry.lens import calibration_from_video_pixels, normalised_from_calibration
@@ -174,9 +175,9 @@ def real_doctor(data: Path, take: str, out: Path) -> tuple[dict[str, Any], list[
             found = out / f"{c}.npz", out / f"{c}.recorded.npz", out / f"{c}.json", [], []
             sightings.run(loaded(tracks_keypoints.Settings), c, [dataset.keypoints[c]], *about, 60.0, pixel_map, *found)
         footage, seen = [dataset.footage[c] for c in MAN], [out / f"{c}.npz" for c in MAN]
-        clocks.run(
-            loaded(clocks.Settings), list(MAN), footage, seen, "{}", 0, 0, out / "clocks.json", out / "sync.json"
-        )
+        lags, written = out / "lags.json", (out / "clocks.json", out / "sync.json")
+        moments.run(loaded(clocks.Settings), list(MAN), footage, "{}", 0, 0, 0, lags, out / "moments.json")
+        clocks.run(loaded(clocks.Settings), list(MAN), footage, seen, lags, "{}", 0, 0, *written)
         doctor.run(
             loaded(doctor.Settings),
             take,

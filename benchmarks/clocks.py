@@ -29,6 +29,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from studiorecon.clocks import moments
 from studiorecon.clocks import offsets as clocks
 from studiorecon.clocks.people import people_lags
 from studiorecon.clocks.posterior import MAX_HALF_S, Offset, estimate_offsets
@@ -81,6 +82,15 @@ _ROUGH: dict[str, dict[str, float]] = {
 _DRIFT_PPM = 50.0
 
 
+def estimate(
+    settings: clocks.Settings, cameras: list[str], films: list[Path], seen: list[Path], out: tuple[Path, Path]
+) -> None:
+    """Write clocks and findings ``out`` of ``films``, both steps one after the other."""
+    lags = out[0].with_name("lags.json")
+    moments.run(settings, cameras, films, "{}", 0, 0, 0, lags, out[0].with_name("moments.json"))
+    clocks.run(settings, cameras, films, seen, lags, "{}", 0, 0, *out)
+
+
 def sound_case(kind: str, seconds: float, recorders: list[Recorder]) -> dict[str, Any]:
     """What the step makes of the recordings of one case, and how far it is off."""
     world = world_sound(kind, seconds + 25)
@@ -89,7 +99,7 @@ def sound_case(kind: str, seconds: float, recorders: list[Recorder]) -> dict[str
         out = Path(folder) / "clocks.json", Path(folder) / "sync.json"
         begin = time.process_time()
         reported = clocks.Settings(sync="auto", picture_fps=_FPS)
-        clocks.run(reported, [r.name for r in recorders], paths, [], "{}", 0, 0, *out)
+        estimate(reported, [r.name for r in recorders], paths, [], out)
         spent = time.process_time() - begin
         found, reported = read_clocks(out[0]), read_json(out[1])["cameras"]
     kinds = {f["camera"]: f["kind"] for f in reported}
@@ -184,7 +194,7 @@ def one_silent(draw: int) -> dict[str, Any]:
         for film, path in zip(films, paths, strict=True):
             write_detections(path, sighted(film, (10 * draw, 10 * draw + 1), rng))
         out = Path(folder) / "clocks.json", Path(folder) / "sync.json"
-        clocks.run(clocks.Settings(sync="auto", picture_fps=_FPS), names, videos, paths, "{}", 0, 0, *out)
+        estimate(clocks.Settings(sync="auto", picture_fps=_FPS), names, videos, paths, out)
         found, reported = read_clocks(out[0]), read_json(out[1])["cameras"]
     offset_s = [found.of(name).offset_s - found.of(names[0]).offset_s for name in names]
     errors = [abs(o - (s - starts_s[0])) * _FPS for o, s in zip(offset_s, starts_s, strict=True)]

@@ -24,12 +24,13 @@ import scipy
 import yaml
 from studiorecon.body.person_files import read_person
 from studiorecon.camera_files.colmap import read_model
-from studiorecon.detect import people as detect
+from studiorecon.detect import moments as detect
 from studiorecon.detector.network_files import DetectorFiles
 from studiorecon.footage.source import open_source
 from studiorecon.people import second_look
 from studiorecon.report.metrics.identities import score_identities
 from studiorecon.scene.files import read_table
+from studiorecon.scene.moments import write_moments
 from studiorecon.scene.people import PEOPLE_COLUMNS, read_detections, read_identities, read_people
 from studiorecon.scene.raw_detections import read_raw_detections
 
@@ -64,6 +65,13 @@ def networks(detector: str) -> list[Path]:
     ]
 
 
+def find_people(camera: str, source: Path, detector: str, found: Path) -> None:
+    """Write the people of a whole film to ``found``."""
+    whole = found.with_suffix(".json")
+    write_moments(whole, {camera: [(0, 0, open_source(source, 30.0).frames)]})
+    detect.run(camera, source, whole, 30.0, DetectorFiles(networks(detector)), found)
+
+
 def cost(detector: str, folder: Path) -> dict[str, Any]:
     """Processor milliseconds per person and picture of a whole film with two people, all told: decoding, finding,
     following, and the second look. Two cores halve it. Runs ``multi`` first where DIR has none."""
@@ -72,7 +80,7 @@ def cost(detector: str, folder: Path) -> dict[str, Any]:
         multi(detector, folder)
     video, found = DATA / f"pose2sim_balancing/multi/videos/{camera}.mp4", folder / "cost.npz"
     began = time.process_time()
-    detect.run(camera, video, [], 30.0, DetectorFiles(networks(detector)), found)
+    find_people(camera, video, detector, found)
     first_s = time.process_time() - began
     second_look.run(
         loaded(second_look.Settings),
@@ -116,7 +124,7 @@ def people_in_pictures(detector: str, folder: Path) -> dict[str, Any]:
         one.mkdir(exist_ok=True, parents=True)
         if not (one / path.name).exists():
             (one / path.name).symlink_to(path)
-        detect.run(path.stem, one, [], 30.0, DetectorFiles(networks(detector)), folder / f"{path.stem}.npz")
+        find_people(path.stem, one, detector, folder / f"{path.stem}.npz")
         boxes = [box_of(keypoints) for keypoints in read_raw_detections(folder / f"{path.stem}.npz").keypoints]
         share = open_source(one, 30.0).wh[0] / 728
         overlaps = np.array([[overlap(np.array(m) * share, box) for box in boxes] for m in marked])

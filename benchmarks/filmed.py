@@ -17,8 +17,6 @@ from studiorecon.calibration import files as calibration
 from studiorecon.calibration.doctor import empty_detections
 from studiorecon.calibration.room_pictures import read_room_pictures, without_distortion
 from studiorecon.detect import keypoints as sightings
-from studiorecon.detect import people as detect
-from studiorecon.detector.network_files import DetectorFiles
 from studiorecon.footage.source import open_source
 from studiorecon.keypoints.detections import to_pinhole
 from studiorecon.plan.discovery import open_dataset
@@ -29,7 +27,7 @@ from studiorecon.scene.people import Detections, read_detections
 from studiorecon.tracks import keypoints as tracks_keypoints
 
 from benchmarks.cameras import MAN
-from benchmarks.detector import DATA, ROOT, networks, workflow
+from benchmarks.detector import DATA, ROOT, find_people, workflow
 from tests.defaults import loaded
 
 DEMO = ("cam1", "cam2", "cam3", "cam4")
@@ -77,7 +75,7 @@ def found_in(camera: str, video: Path, folder: Path) -> Path:
     found = folder / "found" / f"{camera}.npz"
     if not found.exists():
         found.parent.mkdir(parents=True, exist_ok=True)
-        detect.run(camera, video, [], 30.0, DetectorFiles(networks("blazepose_heavy")), found)
+        find_people(camera, video, "blazepose_heavy", found)
     return found
 
 

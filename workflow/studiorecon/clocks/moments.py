@@ -30,6 +30,8 @@ from studiorecon.signature import Written
 # Length of a stretch that two cameras must share, seconds: where sound or motion give the clocks, and where people have
 # to, of cameras that were started by hand one after the other.
 _STRETCH_S, _APART_S = 1.5, 15.0
+# Seconds from the start of the films in which motion is compared: the next ones where those before are not enough.
+_MOTION_S = 20.0, 90.0
 # Most stretches of a take: enough where somebody is in one of six.
 _MOST = 20
 # Films of so many stretches are looked at whole: that is little more than is looked at of any film.
@@ -46,8 +48,12 @@ def signal_lags(
     if linked(heard, len(films)):
         return heard, {"sound": why}
     clocks = [clock_as_filmed("", line) for line in lines]
-    energies = [motion.read_motion_energy(film) if film else np.zeros(0) for film in progress(films, "motion")]
-    moved, still = motion.motion_lags(energies, clocks, float(np.median([clock.fps for clock in clocks])))
+    rate = float(np.median([clock.fps for clock in clocks]))
+    for seconds in _MOTION_S:
+        energies = [motion.read_motion_energy(f, seconds) if f else np.zeros(0) for f in progress(films, "motion")]
+        moved, still = motion.motion_lags(energies, clocks, rate)
+        if linked(heard + moved, len(films)) or all(line.frames <= seconds * line.fps for line in lines):
+            break
     return heard + moved, {"sound": why, "motion": still}
 
 

@@ -44,8 +44,6 @@ _MAX_CORRELATION = 0.9
 # how far from the best lag others are still the same peak.
 _VIEWS_S, _PEAK_S = 0.04, 0.3
 _MIN_OVERLAP_S, _MIN_SHARE = 1.0, 0.5
-# Seconds of a long clip that are decoded for this.
-_SEEN_S = 90.0
 
 
 @dataclass(frozen=True)
@@ -71,9 +69,9 @@ def motion_energy(frames: Iterable[Integer[np.ndarray, "H W"]]) -> Float[np.ndar
     return np.array(energy)
 
 
-def read_motion_energy(source: FootageSource) -> Float[np.ndarray, " T"]:
+def read_motion_energy(source: FootageSource, seconds: float) -> Float[np.ndarray, " T"]:
     """``motion_energy`` of footage, as far as it can be read."""
-    return motion_energy(small_grey(source, _WIDTH, round(_SEEN_S * source.fps)))
+    return motion_energy(small_grey(source, _WIDTH, round(seconds * source.fps)))
 
 
 def motion_lags(
