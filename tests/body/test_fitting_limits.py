@@ -176,7 +176,7 @@ def test_a_long_film_is_fitted_some_frames_after_others(body: BodyModel, monkeyp
         held.append(len(state.trans))
         return formed(problem, state, *shared)
 
-    monkeypatch.setattr(Problem, "normal", watched)
+    monkeypatch.setattr(Problem, "normal_equations", watched)
     monkeypatch.setattr(elimination, "_BLOCK", 12)
     parts = solve(body, points, SETTINGS, 0.01)
     assert max(held) <= 12

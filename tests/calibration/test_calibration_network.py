@@ -87,7 +87,7 @@ def test_what_has_no_unit_is_refused() -> None:
         network.metres_per_unit(np.zeros(0), TORSO_M, False, "Pi3")
     assert network.metres_per_unit(np.zeros(0), TORSO_M, True, "Pi3X")[0] == 1.0
     found, seen = planted(noise=0.8)
-    with pytest.raises(UserError, match=r"differ 1\.\d times within the scene"):
+    with pytest.raises(UserError, match=r"differ by a factor of 1\.\d within the scene"):
         network.metres_per_unit(network.torso_lengths(found, [WH] * 4, seen, 0.4), TORSO_M, False, "Pi3")
 
 

@@ -113,7 +113,7 @@ MIXED_UP: dict[str, tuple[Callable[[Rig], Rig], str]] = {
     "keypoints of twice the size": (lambda rig: with_pixels(rig, lambda p: p * 2), "in pixels of a 2560×1408 picture"),
     "keypoints 5000 px off": (
         lambda rig: with_pixels(rig, lambda p: p + np.array([5000, 0])),
-        "lay -5000 px further right",
+        "were -5000 px further right",
     ),
     "keypoints of a cropped picture": (lambda rig: with_pixels(rig, lambda p: p - [320, 90]), "320 px further right"),
     "keypoints of another camera": (of_another, "they were those of c2"),
@@ -160,7 +160,7 @@ def test_a_camera_that_was_knocked_is_put_right_and_not_taken_for_a_cropped_pict
 
 def test_a_camera_that_was_turned_away_is_named_with_both_that_it_may_be() -> None:
     with pytest.raises(
-        UserError, match=r"camera c1 .*not cropped, or by a camera that has not been turned by (19|2.)°"
+        UserError, match=r"camera c1 .*in an uncropped picture, or by a camera that has not been turned by (19|2.)°"
     ):
         decided(with_pose(capture(), yawed(20.0)))
 
