@@ -56,7 +56,6 @@ _MOVED_M, _MOVED_PX = 0.03, 2.0
 # Half of the studio's frames; levels of 255 by which a decoder's pictures may differ.
 HALF, _LEVELS = 15, 8.0
 
-
 FREE = (
     r"capture\.yaml: missing at frames.*",  # other frames are chosen, and the log's line of moments says which
     r"(film lacks frames|keypoints late) at ",  # people move by less than their width in a fifth of a second

@@ -81,6 +81,7 @@ def test_a_damaged_file_is_named_with_its_field_and_what_is_expected(tmp_path: P
 
 
 @pytest.mark.slow
+@pytest.mark.timeout(3600)  # three minutes of the processor, which others may want too
 def test_nothing_that_changes_a_whole_capture_is_silent() -> None:
     wrong_ones = [one for one in captures.outcomes(every=4) if captures.wrong(*one)]
     assert not wrong_ones
