@@ -8,12 +8,16 @@ from pathlib import Path
 from types import SimpleNamespace as Wildcards
 from typing import Any
 
+import numpy as np
 import pytest
 from studiorecon.errors import UserError
 from studiorecon.models.catalogue.selection import select_networks
 from studiorecon.plan.make import make_plan
 from studiorecon.plan.rule_files import Files
 from studiorecon.plan.step_config import report_settings, shot_settings, step_section, step_settings
+from studiorecon.scene.camera import Lens
+from studiorecon.scene.decisions import Decision, write_decisions
+from studiorecon.scene.files import write_json
 from studiorecon.scene.people import write_people
 
 SCENE = Wildcards(scene="capture")
@@ -45,16 +49,22 @@ def found(tmp_path: Path) -> dict[str, Any]:
     write_people(tmp_path / "with.tsv", rows, [("x0", 1, "left", 0.1, "keypoints", "rejected", "no depth")])
     verdicts = {"exposure": "on", "moving_shadows": "on", "dynamic_objects": "undetermined"}
     parts = {name: {"value": 0.5, "verdict": verdict} for name, verdict in (("00", "on"), ("01", "off"), ("02", "on"))}
-    decided = [{"effect": effect, "verdict": verdict} for effect, verdict in verdicts.items()]
-    decided += [
-        {"effect": "view_synthesis", "verdict": "on", "detail": {"parts": parts}},
-        {"effect": "closed_path", "verdict": "off", "detail": {"widest": "02"}},
-    ]
-    (tmp_path / "decisions.json").write_text(json.dumps({"decisions": decided}))
+    details = {"view_synthesis": {"parts": parts}, "closed_path": {"widest": "02"}}
+    decided = verdicts | {"view_synthesis": "on", "closed_path": "off"}
+    write_decisions(
+        tmp_path / "decisions.json",
+        [Decision(e, "", None, None, None, v, "", detail=details.get(e, {})) for e, v in decided.items()],
+    )
     return {
         "people_associate": {"people": str(tmp_path / "with.tsv"), "who": "who"},
         "survey_decide": {"decisions": str(tmp_path / "decisions.json")},
     }
+
+
+def write_lenses(path: Path, *names: str) -> None:
+    intrinsics = np.array([[500.0, 0, 320], [0, 500, 240], [0, 0, 1]])
+    lenses = [Lens(n, (640, 480), intrinsics, "opencv", np.zeros(4), np.eye(4), np.eye(2, 3)) for n in names]
+    write_json(path, {"lenses": [lens.as_json() for lens in lenses]})
 
 
 def files_of(config: dict[str, Any], home: Path, checkpoints: Any = None) -> Files:
@@ -109,14 +119,14 @@ def test_cameras_that_people_do_not_place_take_no_part(configured, capture, home
     with pytest.raises(LookupError, match="calibration_from_people"):
         files_of(configured(), home, Asked(tmp_path)).detections(SCENE)
     written = tmp_path / "calibration.json"
-    written.write_text(json.dumps({"lenses": [{"name": name} for name in ("right", "back")]}))
+    write_lenses(written, "right", "back")
     files = files_of(configured(), home, Asked(tmp_path, calibration_from_people={"calibration": str(written)}))
     assert files.cameras(SCENE) == files.training(SCENE) == files.evaluated_cameras(SCENE) == ["back", "right"]
     assert files.held_out(SCENE) == files.heldout_film(SCENE) == []
     assert files.evaluated_film(SCENE) == ["train"]
     assert files.renders(SCENE) == ["train", *(f for f in files.plan.films if f != "heldout")]
     assert [Path(path).stem for path in files.detections(SCENE)] == ["back", "right"]
-    written.write_text(json.dumps({"lenses": [{"name": name} for name in ("right", "left")]}))
+    write_lenses(written, "right", "left")
     assert files.evaluated_cameras(SCENE) == ["left"]
     assert files.evaluated_film(SCENE) == files.heldout_film(SCENE) == ["heldout"]
     closed = configured(survey={"force": {"view_synthesis": "on", "closed_path": "on"}})
