@@ -15,6 +15,7 @@ import numpy as np
 import pytest
 from studiorecon.calibration import doctor
 from studiorecon.calibration import files as calibration
+from studiorecon.clocks import moments
 from studiorecon.clocks import offsets as clocks
 from studiorecon.configuration import settings as settings_module
 from studiorecon.detect import keypoints as sightings
@@ -101,14 +102,16 @@ def examine(default_settings: Callable[..., dict[str, Any]]) -> Callable[..., di
             files = out / f"{c}.npz", out / f"{c}.recorded.npz", out / f"{c}.json", [], []
             about = data.keypoint_layout, str(data.keypoint_first_frame.get(c, "auto")), data.footage[c]
             sightings.run(people, c, [path], *about, 30.0, "[]", *files)
+        films = list(data.cameras), [data.footage[c] for c in data.cameras]
+        part = json.dumps(dict(data.starts)), data.first_frame, data.frame_count
+        clock = settings_module.load(clocks.Settings, default_settings("clocks"), "clocks")
+        moments.run(clock, *films, *part, 0, out / "lags.json", out / "moments.json")
         clocks.run(
-            settings_module.load(clocks.Settings, default_settings("clocks"), "clocks"),
-            list(data.cameras),
-            [data.footage[c] for c in data.cameras],
+            clock,
+            *films,
             [out / f"{c}.npz" for c in data.keypoints],
-            json.dumps(dict(data.starts)),
-            data.first_frame,
-            data.frame_count,
+            out / "lags.json",
+            *part,
             out / "clocks.json",
             out / "sync.json",
             [out / "calibration.json"],

@@ -147,7 +147,7 @@ def test_a_real_held_out_camera_is_put_right_by_a_real_man(
         scene = manifests, tmp_path / "clocks.json", tmp_path / "training/images.txt", tmp_path / "given/images.txt"
         held_out.run(settings, *scene, seen, films, DetectorFiles(networks, [], ""), *out)
         (about,) = read_json(out[1])["cameras"]
-        assert about["checked"]
+        assert about["is_verified"]
         left[degrees] = pose_changes(read_model(tmp_path / "heldout"), cameras[3:])[0][0], about["after_px"]
     # One man on one spot, seen by two different detectors, leaves about a degree; both poses show him equally well.
     assert left[0.0][0] < 0.7

@@ -140,7 +140,8 @@ def joints_read_back(entry: dict, data: bytes, count: int) -> np.ndarray:
     motion = entry["motion"]
     turns = rotations.from_quaternion(unpacked(data, motion["turns"]).reshape(count, 24, 4))
     rest = unpacked(data, motion["rest"]).astype(np.float64)
-    return forward_kinematics(turns, rest, np.array(motion["parents"]), unpacked(data, motion["places"]))[1]
+    joints_m = forward_kinematics(turns, rest, np.array(motion["parents"]))[1]
+    return joints_m + unpacked(data, motion["places"])[:, None]
 
 
 def test_joints_move_as_the_body_model_says_to_half_a_millimetre(page: Path) -> None:

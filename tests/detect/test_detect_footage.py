@@ -9,12 +9,14 @@ from typing import Any
 import cv2
 import numpy as np
 import pytest
+from studiorecon.clocks import moments as choose
+from studiorecon.detect import moments as first
 from studiorecon.detect import people
 from studiorecon.detector.blazepose import LANDMARKS, MASK_PX, Landmarks
 from studiorecon.detector.crops import Region
 from studiorecon.detector.network_files import DetectorFiles
 from studiorecon.footage.source import open_source
-from studiorecon.scene.raw_detections import read_raw_detections
+from studiorecon.scene.raw_detections import RawDetections, read_raw_detections
 
 from tests.made.footage import smooth_pictures, write_streamed, write_video
 
@@ -24,22 +26,29 @@ def networks(root: Path) -> list[Path]:
     return [folder / name for name in ("movenet_multipose.onnx", "pose_landmark_full.onnx", "confidence.json")]
 
 
+def detected(source: Path, root: Path, folder: Path) -> RawDetections:
+    """What the three steps find in one film or folder."""
+    lags, moments, known, found = (folder / name for name in ("lags.json", "moments.json", "known.npz", "a.npz"))
+    choose.run(choose.Settings(sync="never"), ["a"], [source], "{}", 0, 0, 0, lags, moments)
+    first.run("a", source, moments, 30.0, DetectorFiles(networks(root)), known)
+    people.run("a", source, known, [], 30.0, DetectorFiles(networks(root)), found)
+    return read_raw_detections(found)
+
+
 @pytest.mark.parametrize("written", [write_video, write_streamed])
 def test_a_film_that_announces_no_frames_is_looked_at_like_any_other(written: Any, root: Path, tmp_path: Path) -> None:
     film = written(tmp_path / "a.mkv", np.repeat(smooth_pictures(1), 12, axis=0))
     source = open_source(film, 30.0)
     assert source.frames == 12
-    people.run("a", film, [], 30.0, DetectorFiles(networks(root)), tmp_path / "a.npz")
-    assert read_raw_detections(tmp_path / "a.npz").looked == (0, 12)
+    assert detected(film, root, tmp_path).looked == [(0, 12)]
 
 
 def test_a_single_picture_is_a_capture_too(root: Path, tmp_path: Path) -> None:
     folder = tmp_path / "a"
     folder.mkdir()
     cv2.imwrite(str(folder / "0001.png"), smooth_pictures(1)[0])
-    people.run("a", folder, [], 30.0, DetectorFiles(networks(root)), tmp_path / "a.npz")
-    found = read_raw_detections(tmp_path / "a.npz")
-    assert (found.looked, len(found.frame)) == ((0, 1), 0)
+    found = detected(folder, root, tmp_path)
+    assert (found.looked, len(found.frame)) == ([(0, 1)], 0)
 
 
 class OfTheUpright:
@@ -69,15 +78,14 @@ class OfTheUpright:
 def test_people_are_looked_for_upright_and_reported_in_the_films_own_pixels(
     turns: int, root: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(people.DetectorFiles, "detector", lambda _: OfTheUpright())
+    monkeypatch.setattr(DetectorFiles, "detector", lambda _: OfTheUpright())
     picture = np.zeros((120, 200, 3), np.uint8)
     picture[30, 50], picture[70, 60] = 255, 200
     picture = np.rot90(picture, turns)
     (tmp_path / "a").mkdir()
     for number in range(4):
         cv2.imwrite(str(tmp_path / "a" / f"{number}.png"), picture)
-    people.run("a", tmp_path / "a", [], 30.0, DetectorFiles(networks(root)), tmp_path / "a.npz")
-    found = read_raw_detections(tmp_path / "a.npz")
+    found = detected(tmp_path / "a", root, tmp_path)
     assert found.frame.tolist() == [0, 1, 2, 3]
     head, hips = (np.argwhere(picture[..., 0] == level)[0, ::-1] + 0.5 for level in (255, 200))
     np.testing.assert_allclose(found.keypoints[0, [0, 24], :2], [head, hips], atol=1e-9)
@@ -101,12 +109,11 @@ def test_no_picture_is_searched_twice_for_how_it_is_turned(
             shown.extend([] if closely else [picture])
             return super().detect_new_people(picture, known, closely)
 
-    monkeypatch.setattr(people.DetectorFiles, "detector", lambda _: Counting())
+    monkeypatch.setattr(DetectorFiles, "detector", lambda _: Counting())
     picture = np.zeros((120, 200, 3), np.uint8)
     picture[30, 50], picture[70, 60] = 255, 200
     (tmp_path / "a").mkdir()
     for number in range(pictures):
         cv2.imwrite(str(tmp_path / "a" / f"{number}.png"), picture)
-    people.run("a", tmp_path / "a", [], 30.0, DetectorFiles(networks(root)), tmp_path / "a.npz")
-    assert len(read_raw_detections(tmp_path / "a.npz").frame) == pictures
+    assert len(detected(tmp_path / "a", root, tmp_path).frame) == pictures
     assert len(shown) == searched
