@@ -61,14 +61,14 @@ def compare_views(sources: Mapping[str, FootageSource]) -> tuple[str, list[str]]
 
 
 def view_agreement(one: Num[np.ndarray, "h 96"], two: Num[np.ndarray, "h 96"]) -> float:
-    """The median correlation of two ``static_image`` pictures over blocks with detail, 1 where there are none.
+    """The median correlation of two ``static_image`` pictures over blocks with detail; 1 where most blocks have none.
 
-    People cover some blocks, but seldom half of them.
+    People cover some blocks, but seldom half of them; before a plain wall they may be all the detail.
     """
     first, second = (_blocks(picture) for picture in (one, two))
     spread = first.std(axis=1) * second.std(axis=1)
     detailed = np.minimum(first.std(axis=1), second.std(axis=1)) > _MIN_DETAIL
-    if not detailed.any():
+    if 2 * detailed.sum() < len(detailed):
         return 1.0
     return float(np.median((first * second).mean(axis=1)[detailed] / spread[detailed]))
 
