@@ -9,13 +9,13 @@ asked; every verdict is forced.
 from __future__ import annotations
 
 import itertools
-import json
 import os
 import re
 import time
 from collections.abc import Iterable
 
 import pytest
+from studiorecon.scene.decisions import Decision, write_decisions
 from studiorecon.scene.people import write_people
 from studiorecon.survey.effects import EARLY, EFFECTS
 
@@ -85,8 +85,8 @@ def surveyed(tmp_path_factory: pytest.TempPathFactory) -> House:
     made(house, [PEOPLE])
     made(house, outputs(house, DECISIONS, *force(house)))
     made(house, [DECISIONS, *(f"results/tiny/survey/{e.artefact.file}" for e in EARLY if e.artefact)])
-    reported = [{"effect": "closed_path", "verdict": "off", "detail": {"widest": "01"}}]
-    (house.folder / DECISIONS).write_text(json.dumps({"decisions": reported}))
+    closed = Decision("closed_path", "widest gap", 180.0, (170.0, 190.0), 150.0, "off", "open", detail={"widest": "01"})
+    write_decisions(house.folder / DECISIONS, [closed])
     made(house, [DECISIONS])
     return house
 

@@ -157,7 +157,7 @@ def _plane(points: np.ndarray, up: np.ndarray) -> tuple[np.ndarray, float]:
     across = np.linalg.svd(up[None])[2][1:]
     flat, height = points @ across.T, points @ up
     flat = flat - flat.mean(0)
-    spread = float(np.sqrt(np.linalg.eigvalsh(flat.T @ flat / max(len(flat), 1))[0]))
+    spread = float(np.sqrt(max(np.linalg.eigvalsh(flat.T @ flat / max(len(flat), 1))[0], 0.0)))
     design = np.column_stack([flat, np.ones(len(flat))])
     weight = np.ones(len(flat))
     slope = np.zeros(3)
