@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 import os
+import shutil
 from dataclasses import replace
 from pathlib import Path
 
@@ -113,6 +114,7 @@ def test_a_file_of_settings_that_holds_none_is_named(house: House, file: str) ->
 
 def test_a_folder_that_cannot_be_written_into_is_named_before_anything_runs(house: House) -> None:
     there = replace(house, dataset="resources/studio/tiny.yaml")
+    shutil.rmtree(house.folder / "logs", ignore_errors=True)
     (house.folder / "logs").touch()
     try:
         done = there.snakemake("--cores", "1", check=False)
