@@ -15,6 +15,7 @@ import pytest
 from studiorecon.scene.decisions import Decision
 from studiorecon.survey.effect_decisions import decide_effects
 from studiorecon.survey.evidence import Evidence, SurveyInput
+from studiorecon.survey.scene_change import MovingRegion, largest_moving
 
 from tests.made.planted import ROOT, SETTINGS  # noqa: F401
 from tests.made.studio_world import OTHERWISE, PLANTED, scene
@@ -119,6 +120,13 @@ class TestLookalikes:
                     pictures[t, rows.max() + 1 : rows.max() + 12, max(at - 4, 0) : at + 4] = (20, 30, 160)
             films.append(replace(film, pictures=pictures))
         assert decisions(replace(usual, films=films))["dynamic_objects"].verdict == "off"
+
+
+def test_what_one_camera_alone_sees_move_is_no_object():
+    one, later = MovingRegion(3, 0.004, 0.0005), MovingRegion(20, 0.009, 0.0005)
+    assert largest_moving([[one, later], [MovingRegion(5, 0.002, 0.0005)], None]).value == one.area
+    assert largest_moving([[one, later], []]).value == 0
+    assert largest_moving([[one, later], None]).value is None
 
 
 class TestPairs:

@@ -217,7 +217,7 @@ def _film(
                 body = cv2.fillConvexPoly(np.zeros_like(covered), hull, 1)
                 picture[body > 0] = 0.6, 0.3, 0.2
                 covered |= cv2.dilate(body, np.ones((9, 9), np.uint8))
-        if plan.ball_px and view == 0:
+        if plan.ball_px and view < 2:
             ball = cv2.circle(
                 np.zeros_like(covered),
                 (30 + 4 * int(t) % 220, 30 + int(12 * np.sin(0.4 * t))),

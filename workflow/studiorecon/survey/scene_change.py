@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import cv2
@@ -11,7 +12,7 @@ import numpy as np
 
 from studiorecon.arrays import require
 from studiorecon.geometry.floor import floor_points, is_near
-from studiorecon.geometry.statistics import NOTHING, Estimate, share_estimate
+from studiorecon.geometry.statistics import NOTHING, SIGMA_OF_MAD, Estimate, share_estimate
 from studiorecon.scene.camera import Camera
 
 if TYPE_CHECKING:
@@ -93,42 +94,73 @@ def shadow_share(
     return share_estimate(int((dark & ever).sum()), int(ever.sum()), int(ever.sum()) / _PATCH_PX)
 
 
-def moving_share(
+@dataclass(frozen=True)
+class MovingRegion:
+    """A region that travels through one camera's pictures ``at`` to ``at`` + 4; area and its error as shares of one."""
+
+    at: int
+    area: float
+    error: float
+
+
+def moving_regions(
     ratio: Float[np.ndarray, "T H W 3"],
     free: Bool[np.ndarray, "T H W"],
     usual: Float[np.ndarray, "H W"],
     noise: float,
     runs: Sequence[slice],
-) -> Estimate:
-    """Area of the largest object that moves through the room, as a share of the picture, and its variation.
+) -> list[MovingRegion] | None:
+    """Regions that move through one camera's pictures other than people; None when people hide most of the room.
 
-    An object is a connected region that differs visibly, by more than five standard deviations of ``noise`` (levels of
-    255) from the ``usual`` level. It is not merely darker and does not touch a person's outline, beyond which legs and
-    hands reach when keypoints are missing. It travels by more than its own radius in five consecutive frames; things
-    that flicker in place do not count. There is no estimate when people hide most of the room.
+    A region is connected and differs visibly, by more than five standard deviations: of ``noise`` (levels of 255) from
+    the ``usual`` level, and of the pixel's own changes, because codecs and swaying shadows change a pixel often and a
+    passing object seldom. It is no shadow and does not touch a person's outline, beyond which legs and hands reach when
+    keypoints are missing. It travels by more than its own radius in five consecutive frames; things that flicker in
+    place do not count.
     """
     height, width = free.shape[1:]
     runs = [run for run in runs if run.stop - run.start >= _FRAMES]
     if not runs or free.mean() < _MIN_FREE:
-        return NOTHING
+        return None
     noise_log = noise / np.maximum(usual, _MIN_LEVEL)
     level, colour = _level_and_colour(ratio)
-    shadow = (level < 0) & (colour < np.maximum(_SAME_COLOUR, 3 * noise_log))
-    changed = free & (np.abs(level) + colour > np.maximum(_SIGMAS, _VISIBLE_LEVELS / noise) * noise_log) & ~shadow
-    least = max(_MIN_REGION * height * width, 4.0)
-    best = (0.0, 0.0, least / (height * width))
+    # Lamps of several colours tint a shadow: what one of them lights has half of its change at most.
+    shadow = (level < 0) & (colour < np.maximum(np.maximum(_SAME_COLOUR, 3 * noise_log), -level / 2))
+    change, ever, own_log = np.abs(level) + colour, np.any(free, axis=0), np.zeros((height, width))
+    own_log[ever] = SIGMA_OF_MAD * np.nanmedian(np.where(free, change, np.float32(np.nan))[:, ever], axis=0)
+    visible_log = np.maximum(_SIGMAS * np.maximum(noise_log, own_log), _VISIBLE_LEVELS / noise * noise_log)
+    changed = free & (change > visible_log) & ~shadow
+    found = []
     for run in runs:
-        found = [_regions(c, f, least) for c, f in zip(changed[run], free[run])]
-        for t in range(len(found) - _FRAMES + 1):
-            for first in found[t]:
-                areas = _follow_region(first, found[t + 1 : t + _FRAMES], 0.15 * width)
+        seen = [_regions(c, f, max(_MIN_REGION * height * width, 4.0)) for c, f in zip(changed[run], free[run])]
+        for t in range(len(seen) - _FRAMES + 1):
+            for first in seen[t]:
+                areas = np.array(_follow_region(first, seen[t + 1 : t + _FRAMES], 0.15 * width)) / (height * width)
                 if len(areas) == _FRAMES:
-                    part, error = (
-                        np.median(areas) / (height * width),
-                        np.std(areas) / np.sqrt(_FRAMES) / (height * width),
+                    found.append(
+                        MovingRegion(run.start + t, float(np.median(areas)), float(areas.std() / _FRAMES**0.5))
                     )
-                    best = max(best, (float(part), float(max(part - 2 * error, 0.0)), float(part + 2 * error)))
-    return Estimate(best[0], (best[1], best[2]))
+    return found
+
+
+def largest_moving(found: Sequence[Sequence[MovingRegion] | None]) -> Estimate:
+    """Area of the largest region that moves while another camera sees one move too, and which camera shows it.
+
+    An object in the room is seen from several sides; reflections and the codec's errors are one camera's own. There is
+    no estimate when fewer than two cameras see the room.
+    """
+    known = [(camera, region) for camera, own in enumerate(found) for region in own or ()]
+    if sum(own is not None for own in found) < 2:
+        return NOTHING
+    shared = [
+        (region.area, region.error, camera)
+        for camera, region in known
+        if any(camera != other and abs(region.at - one.at) < _FRAMES for other, one in known)
+    ]
+    if not shared:
+        return Estimate(0.0, (0.0, _MIN_REGION))
+    area, error, camera = max(shared)
+    return Estimate(area, (max(area - 2 * error, 0.0), area + 2 * error), camera)
 
 
 def _level_and_colour(ratio: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

@@ -5,25 +5,25 @@ from __future__ import annotations
 
 from studiorecon.survey.effects.surveyed import Measurement, SurveyedEffect
 from studiorecon.survey.evidence import Evidence
-from studiorecon.survey.scene_change import largest_estimate, moving_share
+from studiorecon.survey.scene_change import largest_moving, moving_regions
 
 
 def measure(evidence: Evidence, threshold: float) -> Measurement:
     """The area of the largest object that travels through the room, in the camera that shows most of it."""
     found = [
-        moving_share(small.ratio, small.free, small.plate.mean(axis=-1) * 255, small.noise, small.film.runs)
+        moving_regions(small.ratio, small.free, small.plate.mean(axis=-1) * 255, small.noise, small.film.runs)
         for small in evidence.small_films
     ]
-    value, interval, name = largest_estimate(evidence.names, found)
-    if value is None:
-        reason = "too little of the room is visible without people to detect objects that move"
-    elif value:
+    largest = largest_moving(found)
+    if largest.value is None:
+        reason = "too little of the room is visible to two cameras without people to detect objects that move"
+    elif largest.value:
         reason = (
-            f"a thing of {value:.2%} of the picture moves in {name}; followed as a rigid thing where two cameras see it"
+            f"a thing of {largest.value:.2%} of the picture moves in {evidence.names[largest.which]}, and in others"
         )
     else:
-        reason = "only people and shadows move"
-    return Measurement(value, interval, reason)
+        reason = "only people and shadows move for two cameras at once"
+    return Measurement(largest.value, largest.interval, reason)
 
 
 EFFECT = SurveyedEffect(
