@@ -25,6 +25,8 @@ _RING_M = 1.0
 _SIGMAS = 5.0
 # Regions below this share of the picture are not tracked.
 _MIN_REGION = 0.00025
+# Nor are those of fewer pixels: errors of codecs come in blocks of 4×4.
+_MIN_REGION_PX = 16.0
 # Morphological opening correlates the errors of neighbouring pixels: this many count as one.
 _PATCH_PX = 9
 _MIN_RING_PX, _MIN_FREE = 200, 0.3
@@ -132,7 +134,9 @@ def moving_regions(
     changed = free & (change > visible_log) & ~shadow
     found = []
     for run in runs:
-        seen = [_regions(c, f, max(_MIN_REGION * height * width, 4.0)) for c, f in zip(changed[run], free[run])]
+        seen = [
+            _regions(c, f, max(_MIN_REGION * height * width, _MIN_REGION_PX)) for c, f in zip(changed[run], free[run])
+        ]
         for t in range(len(seen) - _FRAMES + 1):
             for first in seen[t]:
                 areas = np.array(_follow_region(first, seen[t + 1 : t + _FRAMES], 0.15 * width)) / (height * width)
