@@ -50,7 +50,8 @@ def test_breaks_mark_jumps_and_unknown_depth_but_no_slope() -> None:
     depth, face = replace(made_room_box(), high_m=np.array([50.0, 50, 9])).intersect(*camera.rays())
     assert (face == FACES.index("floor")).all()
     assert depth.max() > 1.5 * depth.min()
-    assert not depth_breaks(depth, 0.001).any()
+    # On the floor of a level camera depth changes along columns alone.
+    assert not (depth_breaks(depth, 0.001).any() or depth_breaks(depth.T, 0.001).any())
     depth[20:30, 40:50] *= 0.8
     broken = depth_breaks(depth, 0.04)
     assert broken[20:30, 39:41].all()
