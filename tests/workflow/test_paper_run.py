@@ -26,6 +26,8 @@ from tests.workflow.planted_networks import plant
 PAPER, NETWORKS = (str(ROOT / f"config/presets/{name}.yaml") for name in ("paper", "networks"))
 # Nothing but sizes and counts: what would take hours, and pictures of the studio's own size.
 SMALL: dict = {
+    # The presets of networks compute on a GPU; these runs must end without one.
+    "device": "auto",
     "capture": {"width": 240},
     "render": {"width": 240},
     "depth": {"sweep_width": 120, "refine_width": 160},
