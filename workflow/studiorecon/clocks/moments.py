@@ -27,9 +27,10 @@ from studiorecon.scene.clocks import Clocks
 from studiorecon.scene.moments import Stretch, write_moments
 from studiorecon.signature import Written
 
-# Length of a stretch that two cameras must share, seconds: where sound or motion give the clocks, and where people have
-# to, of cameras that were started by hand one after the other.
-_STRETCH_S, _APART_S = 1.5, 15.0
+# Seconds of a stretch where sound or motion give the clocks: a person takes two or three steps.
+_STRETCH_S = 1.5
+# Seconds of a stretch where people have to: cameras started by hand, one after the other, must share a part of it.
+_APART_S = 15.0
 # Seconds from the start of the films in which motion is compared: the next ones where those before are not enough.
 _MOTION_S = 20.0, 90.0
 # Most stretches of a take: enough where somebody is in one of six.

@@ -20,9 +20,11 @@ from studiorecon.scene.moments import read_moments, unseen
 from studiorecon.scene.raw_detections import RawDetections, write_raw_detections
 from studiorecon.signature import Written
 
-# Stretches that are looked at in any case, and detections of people after which no more are: those of one person in
-# three seconds at 30 per second. Clocks and calibrations are judged on 24 frames.
-_MIN_STRETCHES, _ENOUGH = 3, 100
+# Stretches that are searched in any case: the start, the middle and the end of a take.
+_MIN_STRETCHES = 3
+# Detections after which no more stretches are searched: one person for three seconds at 30 per second. Clocks and
+# calibrations are judged on 24 frames.
+_ENOUGH = 100
 
 
 def run(camera: str, source: Path, moments: Path, picture_fps: float, detector: DetectorFiles, found: Written) -> None:

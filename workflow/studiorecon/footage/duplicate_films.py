@@ -24,10 +24,11 @@ _WIDTH, _COARSE = 96, 4.0
 _SAME = 0.95
 # With less detail, grey levels, there is nothing to compare.
 _MIN_DETAIL = 1.0
-# Side of a block in pixels, an eighth of the picture's width; and the agreement below which a view is another one: real
-# films of static cameras have 0.41 or more, with somebody in front of half the picture; a shift by 4% of the width and
-# other cameras' films 0.29 or less.
-_BLOCK, _OTHER_VIEW = 12, 0.3
+# Side of a block in pixels: an eighth of the picture's width.
+_BLOCK = 12
+# Agreement below which a view is another one. Real films of static cameras have 0.41 or more, with somebody in front of
+# half the picture; a shift by 4 % of the width and other cameras' films 0.29 or less.
+_OTHER_VIEW = 0.3
 
 
 def compare_views(sources: Mapping[str, FootageSource]) -> tuple[str, list[str]]:

@@ -154,7 +154,7 @@ def small_grey(source: FootageSource, width: int, count: int) -> Iterator[Intege
 
 
 def _frames_from(source: FootageSource, first: int, stop: int, damaged: list[int]) -> Iterator[av.VideoFrame]:
-    """The frames ``first`` to ``stop`` − 1; those deep in a film are sought, unless seeking does not reach one."""
+    """The frames ``first`` to ``stop`` − 1; frames deep in a film are reached by seeking where that works."""
     begin = 0
     for part in source.parts:
         low, high = max(first - begin, 0), min(stop - begin, part.frames)
