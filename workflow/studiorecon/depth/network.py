@@ -46,8 +46,8 @@ class Settings:
 
     source: DepthSource = setting(
         "embedded",
-        "embedded (planes alone), a network in addition to the planes, onnx (your own: depth.network), or precomputed "
-        "files in any unit.",
+        "embedded (room box and furniture from photos), a network that competes with them, onnx (your own: "
+        "depth.network), or precomputed files in any unit.",
         paper="Pi3, then MoGe; U21",
         paper_value="moge",
     )
