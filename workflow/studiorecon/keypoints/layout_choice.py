@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from studiorecon.errors import UserError
-from studiorecon.keypoints.layouts import BY_COUNT, LAYOUTS, USUAL
+from studiorecon.keypoints.layouts import BY_COUNT, LAYOUTS, USUAL, WITH_HANDS
 
 if TYPE_CHECKING:
     from jaxtyping import Num
@@ -40,6 +40,8 @@ def choose_layout(keypoints: Num[np.ndarray, "D K 3"], given: str, where: str) -
         raise UserError(
             f"{where}: keypoint_layout {given!r} is unknown; known layouts are {', '.join(sorted(LAYOUTS))}"
         )
+    if f"{given}{WITH_HANDS}" in LAYOUTS and len(LAYOUTS[f"{given}{WITH_HANDS}"].keypoints) == count:
+        given += WITH_HANDS
     if not auto and len(LAYOUTS[given].keypoints) != count:
         raise UserError(
             f"{where}: has {count} keypoints per person, but keypoint_layout {given} "

@@ -75,6 +75,9 @@ _HALPE26 = (
     "left_heel",
     "right_heel",
 )
+_HANDS = (*_numbered("left_hand", 21), *_numbered("right_hand", 21))
+WITH_HANDS = "_hands"
+"""Ending of the name of a layout that continues another with the points of both hands."""
 # Human3.6M's 17, as networks that lift poses to 3D write them.
 _HUMAN36M17 = (
     "mid_hip", "right_hip", "right_knee", "right_ankle", "left_hip", "left_knee", "left_ankle", "middle_spine",
@@ -102,15 +105,17 @@ _NAMES = {
     "body_25": _BODY_25,
     "body_25b": _BODY_25B,
     "halpe26": _HALPE26,
+    f"openpose_coco18{WITH_HANDS}": (*_COCO18, *_HANDS),
+    f"body_25{WITH_HANDS}": (*_BODY_25, *_HANDS),
+    f"body_25b{WITH_HANDS}": (*_BODY_25B, *_HANDS),
     "wholebody133": (
         *_COCO17,
         *_FEET,
         *_numbered("face", 68),
-        *_numbered("left_hand", 21),
-        *_numbered("right_hand", 21),
+        *_HANDS,
     ),
     "body_135": (*_BODY_25B, *_numbered("left_hand", 20), *_numbered("right_hand", 20), *_numbered("face", 70)),
-    "halpe136": (*_HALPE26, *_numbered("face", 68), *_numbered("left_hand", 21), *_numbered("right_hand", 21)),
+    "halpe136": (*_HALPE26, *_numbered("face", 68), *_HANDS),
     "smpl24": tuple(f"{n}_joint" for n in JOINT_NAMES),
     # CoMotion's 2D points: projections of its own 3D body, hence the monocular prior and not image evidence (
     # U33).
@@ -187,6 +192,9 @@ _WRITTEN_BY = {
     "body_25": "OpenPose BODY_25",
     "body_25b": "OpenPose BODY_25B",
     "halpe26": "Halpe, RTMPose with feet",
+    "openpose_coco18_hands": "OpenPose COCO with `--hand`",
+    "body_25_hands": "OpenPose BODY_25 with `--hand`",
+    "body_25b_hands": "OpenPose BODY_25B with `--hand`",
     "wholebody133": "COCO-WholeBody, RTMW",
     "body_135": "OpenPose BODY_135",
     "halpe136": "Halpe with face and hands",

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from studiorecon.errors import UserError
+from studiorecon.keypoints.hands import HAND_POINTS
 from studiorecon.scene.user_values import as_list, numbers, short_text
 
 if TYPE_CHECKING:
@@ -23,6 +24,12 @@ _LISTS = {
     "instances": ("MMPose", ("keypoints",)),
     "predictions": ("MMPose", ("keypoints",)),
 }
+# Keys of a person's left and right hand, in OpenPose's versions and in EasyMocap.
+_HANDS = (
+    ("hand_left_keypoints_2d", "hand_right_keypoints_2d"),
+    ("hand_left_keypoints", "hand_right_keypoints"),
+    ("handl2d", "handr2d"),
+)
 # Beginnings of the keys for faces and hands.
 _PARTS = ("face", "hand", "left", "righ")
 
@@ -58,8 +65,17 @@ def read_people(content: Any, where: str) -> tuple[list[Float[np.ndarray, "K 3"]
         if given is ... and (others := [k for k in person if "keypoint" in str(k) and str(k)[:4] not in _PARTS]):
             raise UserError(f"{who} has no {keys[0]}, but {others[0]}; write the body's keypoints under the former")
         if given is not None and given is not ... and len(points := _points(given, person, who)):
-            found.append(points)
+            found.append(np.concatenate([points, *_hands(person, who)]))
     return found, program
+
+
+def _hands(person: Mapping[Any, Any], where: str) -> list[np.ndarray]:
+    """Both hands' keypoints where a person has some: a hand that is missing is zeros, as OpenPose writes it."""
+    given = next(([person.get(key) or [] for key in keys] for keys in _HANDS if any(map(person.get, keys))), [])
+    hands = [_points(one, {}, f"{where}, a hand") if len(one) else np.zeros((HAND_POINTS, 3)) for one in given]
+    if wrong := [len(one) for one in hands if len(one) != HAND_POINTS]:
+        raise UserError(f"{where} has a hand of {wrong[0]} keypoints; it must have {HAND_POINTS}, or none")
+    return hands
 
 
 def _points(given: Any, person: Mapping[Any, Any], where: str) -> np.ndarray:

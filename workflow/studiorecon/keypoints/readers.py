@@ -12,6 +12,7 @@ import numpy as np
 from studiorecon.errors import UserError
 from studiorecon.keypoints.deeplabcut import read_deeplabcut
 from studiorecon.keypoints.file_numbers import number_names
+from studiorecon.keypoints.hands import HAND_POINTS
 from studiorecon.keypoints.layouts import BY_COUNT
 from studiorecon.keypoints.picture_content import read_people
 from studiorecon.keypoints.result_files import Pictures, read_results
@@ -83,6 +84,9 @@ def _checked(found: Pictures, path: Path) -> RecordedKeypoints:
     pictures = sorted(found.people)
     everybody = [(number, points) for number in pictures for points in found.people[number]]
     counts = sorted({len(points) for _, points in everybody})
+    if len(counts) == 2 and counts[1] == counts[0] + 2 * HAND_POINTS:  # hands are written only of those who show one
+        everybody = [(n, np.concatenate([p, np.zeros((counts[1] - len(p), 3))])) for n, p in everybody]
+        counts = counts[1:]
     if len(counts) > 1:
         raise UserError(
             f"{path}: detections have {' and '.join(map(str, counts[:3]))} keypoints; run the "

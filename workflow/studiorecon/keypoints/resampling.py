@@ -54,18 +54,22 @@ def at_working_moments(seen: Detections, clocks: Clocks, height_px: float) -> De
     late, readout = clocks.late_frames(seen.camera), clocks.of(seen.camera).readout_s * clocks.fps
     if not late.any() and not readout:
         return seen
-    return replace(seen, keypoints=_along_tracks(seen, late[seen.frame], readout, height_px, clocks.fps))
+    return _along_tracks(seen, late[seen.frame], readout, height_px, clocks.fps)
 
 
-def _along_tracks(seen: Detections, late: np.ndarray, readout: float, height_px: float, fps: float) -> np.ndarray:
-    """(D, K, 3) the keypoints of ``seen`` at its frames, for pictures taken ``late`` (D,) frames after them."""
-    keypoints = seen.keypoints.copy()
+def _along_tracks(seen: Detections, late: np.ndarray, readout: float, height_px: float, fps: float) -> Detections:
+    """``seen`` with keypoints and hands at its frames, from pictures taken ``late`` (D,) frames after them."""
+    count = seen.keypoints.shape[1]
+    hands = np.zeros((len(seen.frame), 0, 3)) if seen.hands is None else seen.hands.reshape(len(seen.frame), -1, 3)
+    points = np.concatenate([seen.keypoints, hands], axis=1)
+    moved = points.copy()
     for track in np.unique(seen.track):
         mine = np.flatnonzero(seen.track == track)
         mine = mine[np.argsort(seen.frame[mine], kind="stable")]
         frame, times = seen.frame[mine], seen.frame[mine] + late[mine]
-        keypoints[mine] = _resampled(seen.keypoints[mine], times, seen.keypoints[mine], frame, readout, height_px, fps)
-    return keypoints
+        moved[mine] = _resampled(points[mine], times, points[mine], frame, readout, height_px, fps)
+    own = None if seen.hands is None else moved[:, count:].reshape(seen.hands.shape).astype(np.float32)
+    return replace(seen, keypoints=moved[:, :count], hands=own)
 
 
 def correct_rolling_shutter(seen: Detections, readout_s: float, height_px: float, fps: float) -> Detections:
@@ -75,7 +79,7 @@ def correct_rolling_shutter(seen: Detections, readout_s: float, height_px: float
     """
     if not readout_s:
         return seen
-    return replace(seen, keypoints=_along_tracks(seen, np.zeros(len(seen.frame)), readout_s * fps, height_px, fps))
+    return _along_tracks(seen, np.zeros(len(seen.frame)), readout_s * fps, height_px, fps)
 
 
 def resample_keypoints(seen: Detections, clocks: Clocks, height_px: float) -> Detections:

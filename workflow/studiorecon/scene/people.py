@@ -46,6 +46,7 @@ _DETECTIONS = {
     "body_shape": OptionalField(real("D 10")),
     "points_m": OptionalField(metres("D K 3", gaps=True)),
     "row": OptionalField(whole("D", low=-1)),
+    "hands": OptionalField(real("D 2 21 3", gaps=True, such=CONFIDENT)),
 }
 
 
@@ -64,6 +65,8 @@ class Detections:
         points_m: a network's estimate of the keypoints in metres relative to the middle of the hips, camera's axes; or
             None.
         row: row in the detector's file that holds the person's mask (-1 = none); or None.
+        hands: float32, the left and the right hand's points (``keypoints/hands.py``), as ``keypoints``; or None where
+            no hand was searched for.
     """
 
     camera: str
@@ -77,6 +80,7 @@ class Detections:
     body_shape: Num[np.ndarray, "D 10"] | None = None
     points_m: Num[np.ndarray, "D K 3"] | None = None
     row: Integer[np.ndarray, " D"] | None = None
+    hands: Num[np.ndarray, "D 2 21 3"] | None = None
 
     def only(self, which: Bool[np.ndarray, " D"] | Integer[np.ndarray, " M"]) -> Detections:
         """The detections selected by ``which`` (bool mask or indices)."""

@@ -12,6 +12,7 @@ import numpy as np
 from studiorecon.camera_files.calibration import find_lens
 from studiorecon.errors import UserError
 from studiorecon.keypoints.detections import Settings, detections_from_detector, detections_from_recorded
+from studiorecon.keypoints.hands import with_recorded_hands
 from studiorecon.keypoints.resampling import at_working_frames, part_used
 from studiorecon.progress import say, warn
 from studiorecon.scene.capture import Footage, read_footage
@@ -53,7 +54,7 @@ def run(
                 f"camera {camera}: its {len(recorded.frame)} recorded people, in frames {recorded.frame[0]} to "
                 f"{recorded.frame[-1]} of its film, are outside the frames in use; it only shows the room"
             )
-    result = at_working_frames(found, used, common)
+    result = with_recorded_hands(at_working_frames(found, used, common))
     _log_detections(result, kind, used)
     write_detections(detections, result)
 
