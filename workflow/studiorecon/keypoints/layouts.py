@@ -17,6 +17,21 @@ JOINT_NAMES = (
     "spine3", "left_foot", "right_foot", "neck", "left_collar", "right_collar", "head", "left_shoulder",
     "right_shoulder", "left_elbow", "right_elbow", "left_wrist", "right_wrist", "left_hand", "right_hand",
 )  # fmt: skip
+# The joints of the fingers that SMPL-H has after the body's, and the points of each hand in MediaPipe's order under
+# Pose2Sim's names: the wrist, then from the thumb on three joints and the tip (4) of each finger.
+FINGER_NAMES = tuple(
+    f"{side}_{finger}{k}"
+    for side in ("left", "right")
+    for finger in ("index", "middle", "pinky", "ring", "thumb")
+    for k in (1, 2, 3)
+)
+HAND_POINT_NAMES = tuple(
+    (
+        f"{side}_wrist_joint",
+        *(f"{side}_{f}{k}" for f in ("thumb", "index", "middle", "ring", "pinky") for k in range(1, 5)),
+    )
+    for side in ("left", "right")
+)
 _COCO17 = (
     "nose", "left_eye", "right_eye", "left_ear", "right_ear", "left_shoulder", "right_shoulder", "left_elbow",
     "right_elbow", "left_wrist", "right_wrist", "left_hip", "right_hip", "left_knee", "right_knee", "left_ankle",

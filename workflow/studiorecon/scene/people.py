@@ -104,6 +104,8 @@ class Person:
         valid: frames in which the body was measured (others are filled, so that films do not flicker).
         sigma: standard deviation of the joints, metres (inf where unknown).
         metric: True when lengths are metres.
+        hand_poses, hand_joints, hand_sigma: axis-angles of SMPL-H's 30 finger joints, their places in the world and the
+            deviations of those, as of ``joints``; None for a person whose fingers were not measured.
         present: frames in which the person is present (default: all). In others the arrays interpolate from the place
             of leaving to the place of return, for cameras that follow the person.
     """
@@ -119,6 +121,9 @@ class Person:
     sigma: Num[np.ndarray, "T 24"]
     metric: bool
     present: Bool[np.ndarray, " T"] = field(default_factory=lambda: np.zeros(0, bool))
+    hand_poses: Num[np.ndarray, "T 90"] | None = None
+    hand_joints: Num[np.ndarray, "T 30 3"] | None = None
+    hand_sigma: Num[np.ndarray, "T 30"] | None = None
 
     def __post_init__(self) -> None:
         if not len(self.present):

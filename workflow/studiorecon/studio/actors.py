@@ -12,6 +12,7 @@ from studiorecon.body.model import BodyModel
 from studiorecon.scene.people import Person
 from studiorecon.studio.clothing import OUTFITS, body_texture
 from studiorecon.studio.description import Description
+from studiorecon.studio.hand_motion import finger_poses
 from studiorecon.studio.meshes import Mesh, Texture, lathe, sphere
 from studiorecon.studio.performance import PARTS, perform, random_betas
 
@@ -31,7 +32,7 @@ class Actor:
 
     number: int
     betas: Float[np.ndarray, " 10"]
-    poses: Float[np.ndarray, "T 72"]
+    poses: Float[np.ndarray, "T 3*J"]
     trans_m: Float[np.ndarray, "T 3"]
     texture: Texture
 
@@ -40,7 +41,7 @@ class Actors:
     """The people and props of a description, posed at the moments (T,) of one clock in seconds."""
 
     def __init__(self, description: Description, body: BodyModel, times_s: Float[np.ndarray, " T"]) -> None:
-        self.body = body
+        self.body = body.with_fingers if description.hands else body
         self.times_s = times_s
         self.effects = description.effects
         self.fps = description.fps
@@ -48,6 +49,9 @@ class Actors:
         for number in range(description.people):
             betas = random_betas(description.seed, number)
             poses, trans_m = perform(PARTS[number], body, betas, times_s)
+            if description.hands:
+                fingers = finger_poses(body, description.seed + number, times_s)
+                poses = np.concatenate([poses, fingers], axis=1)
             self.actors.append(Actor(number, betas, poses, trans_m, body_texture(OUTFITS[number], body)))
         # Faces around every vertex, to average their normals: (V, F) sparse.
         self._faces_of_vertices = _incidence(body) if self.actors else None
@@ -81,18 +85,22 @@ class Actors:
 
     def person(self, actor: Actor) -> Person:
         """The exact body of one person, in the pipeline's own file format."""
-        frames = len(self.times_s)
+        frames, with_fingers = len(self.times_s), len(self.body.names) > 24
+        joints = self.body.joints(actor.poses, actor.betas, actor.trans_m)
         return Person(
             name=f"p{actor.number}",
             body=self.body.identity,
             fps=self.fps,
-            poses=actor.poses,
+            poses=actor.poses[:, :72],
             trans=actor.trans_m,
             betas=actor.betas,
-            joints=self.body.joints(actor.poses, actor.betas, actor.trans_m),
+            joints=joints[:, :24],
             valid=np.ones(frames, dtype=bool),
             sigma=np.zeros((frames, 24)),
             metric=True,
+            hand_poses=actor.poses[:, 72:] if with_fingers else None,
+            hand_joints=joints[:, 24:] if with_fingers else None,
+            hand_sigma=np.zeros((frames, 30)) if with_fingers else None,
         )
 
     def _person(self, actor: Actor, frame: int) -> Mesh:

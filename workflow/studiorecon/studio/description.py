@@ -109,6 +109,7 @@ class Description:
     supersampling: int
     crf: int
     people: int
+    hands: bool
     cameras: RigDescription
     faults: Faults
     effects: Effects

@@ -22,13 +22,13 @@ from studiorecon.footage.exr import write_depth
 from studiorecon.footage.streams import Writer, parallel_writers
 from studiorecon.footage.video import write_lossless, write_watchable
 from studiorecon.images.encoded import write_png
-from studiorecon.keypoints.layouts import LAYOUTS
+from studiorecon.keypoints.layouts import HAND_POINT_NAMES, LAYOUTS
 from studiorecon.scene.camera import Lens
-from studiorecon.scene.files import write_json
+from studiorecon.scene.files import write_json, write_npz
 from studiorecon.studio import rig
 from studiorecon.studio.actors import Actors
 from studiorecon.studio.description import Description
-from studiorecon.studio.detections import detect, openpose_json
+from studiorecon.studio.detections import detect, openpose_json, true_hands
 from studiorecon.studio.film import render_frame, touched_pixels, trace_backdrop
 from studiorecon.studio.meshes import Mesh
 from studiorecon.studio.room import build_room
@@ -138,7 +138,11 @@ class _Camera:
         self._backdrop = trace_backdrop(lens, solids, described.supersampling)
         self._truth = TruthFrames(lens, solids, described.truth)
         self._detector = np.random.default_rng([described.seed, 31, described.names.index(lens.name)])
-        self._keypoints_m, self._soles_m = actors.keypoints_m(LAYOUTS[LAYOUT].keypoints), actors.soles_m()
+        names = LAYOUTS[LAYOUT].keypoints
+        self._body_points = len(names)
+        wanted = (*names, *HAND_POINT_NAMES[0], *HAND_POINT_NAMES[1]) if described.hands else names
+        self._keypoints_m, self._soles_m = actors.keypoints_m(wanted), actors.soles_m()
+        self._hands: list[np.ndarray] = []
         self._times_s = actors.times_s
 
     def writers(self) -> list[Writer]:
@@ -160,12 +164,14 @@ class _Camera:
         touched = touched_pixels(self._lens, moving)
         centres = touched_pixels(self._truth.lens, moving) if self._lens.distortion.any() else touched
         self._truth.add(tracer, moving, centres, values, following)
+        points_m, first = self._keypoints_m[frame], len(self._solids)
+        if described.hands:
+            self._hands.append(true_hands(points_m[:, self._body_points :], self._lens, tracer, first))
         if self._training and described.keypoints:
-            people = detect(
-                self._keypoints_m[frame], self._lens, tracer, len(self._solids), described.detections, self._detector
-            )
+            options = described.detections
+            people = detect(points_m, self._lens, tracer, first, options, self._detector, self._body_points)
             path = self._films.dataset / "keypoints" / name / f"{name}_{frame:012d}_keypoints.json"
-            write_json(path, openpose_json(people))
+            write_json(path, openpose_json(people, self._body_points))
         light = lamp_swing(described, float(self._times_s[frame]))
         seen = render_frame(self._backdrop, tracer, moving, touched, self._soles_m[frame], described.effects)
         return develop(light * seen, self._sensor, frame)
@@ -178,6 +184,8 @@ class _Camera:
         write_depth(truth / "depth" / f"{name}.exr", depth_m, np.ones_like(depth_m))
         if described.plates and self._training:
             write_png(self._films.dataset / "plates" / f"{name}.png", develop(empty, self._sensor, described.frames))
+        if self._hands:
+            write_npz(truth / "hands" / f"{name}.npz", {"points": np.stack(self._hands).astype(np.float32)})
         self._truth.write(truth, described.fps)
 
 
