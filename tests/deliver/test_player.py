@@ -4,7 +4,6 @@
 from __future__ import annotations
 
 import json
-import threading
 from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
@@ -12,7 +11,6 @@ from pathlib import Path
 import numpy as np
 import pytest
 import yaml
-from studiorecon.cli.viewer import Viewer
 from studiorecon.configuration.schema import mistakes
 from studiorecon.deliver.player_data import Shade
 from studiorecon.footage.video import to_bytes
@@ -22,9 +20,11 @@ from studiorecon.render.composite_renderer import CompositeRenderer
 from studiorecon.render.look_at_targets import LookAtTargets
 from studiorecon.render.planning import plan_steps
 from studiorecon.scene.factors import Factors
+from studiorecon.window.serving import Folder
 
 from tests.made.browser import SOFTWARE_GL, Browser, addresses_outside, memory_limited, pixels, software_gl
 from tests.made.player import drawn, scene_of, shade_for, write_page
+from tests.made.serving import served
 
 pytestmark = pytest.mark.browser
 FRAMES = 7
@@ -110,15 +110,11 @@ def test_opened_from_disk_it_asks_nobody_and_logs_nothing(browser: Browser, page
 
 
 def test_served_it_asks_the_same_machine_only(browser: Browser, page: Path) -> None:
-    with Viewer(page.parent, 0) as server:
-        thread = threading.Thread(target=server.serve_forever, daemon=True)
-        thread.start()
+    with served(Folder(page.parent)) as server:
         address = server.address("player.html")
         browser.requested.clear()
         browser.open(address)
         browser.wait("!!window.player && player.drawn() > 0")
-        server.shutdown()
-        thread.join()
     assert addresses_outside(browser.requested) == [address]
 
 

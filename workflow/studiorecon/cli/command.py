@@ -16,16 +16,18 @@ import webbrowser
 from collections.abc import Iterator, Mapping, Sequence
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from studiorecon.__main__ import main as step_main
-from studiorecon.cli.viewer import Viewer
 from studiorecon.configuration.overlays import OVERLAY_OPTIONS, split_option
 from studiorecon.errors import UserError
 from studiorecon.home import CONFIGURATION, HOME, PRESETS, SCHEMA, SNAKEFILE
 from studiorecon.machine.crash_report import fault_sentence, keep_trace
 from studiorecon.machine.output import unbroken_output
 from studiorecon.machine.resource_errors import describe_resource_error
+
+if TYPE_CHECKING:
+    from studiorecon.window.serving import LocalServer
 
 _DEMO = "resources/studio/demo.yaml"
 _PORT = 8642
@@ -289,15 +291,19 @@ def finished_scene(folder: str) -> Path:
 
 
 def _view(options: argparse.Namespace) -> int:
-    with Viewer(finished_scene(str(options.folder)), options.port) as server:
-        address = server.address("report/index.html")
-        print(f"{address} (Ctrl-C ends it)", flush=True)
-        if not options.no_browser:
-            webbrowser.open(address)
-        try:
-            server.serve_forever()
-        except KeyboardInterrupt:
-            print()
+    from studiorecon.window.serving import Folder, LocalServer  # loads the server, which other subcommands do not need
+
+    return _serve(LocalServer(Folder(finished_scene(str(options.folder))), options.port), "report/", options)
+
+
+def _serve(server: LocalServer, page: str, options: argparse.Namespace) -> int:
+    print(f"{server.address(page)} (Ctrl-C ends it)", flush=True)
+    if not options.no_browser:
+        webbrowser.open(server.address(page))
+    try:
+        server.serve_forever()
+    except KeyboardInterrupt:
+        print()
     return 0
 
 
