@@ -118,7 +118,8 @@ def paired_lenses(
         notes.append(f"the distortion coefficients were read as {settings.lens} (calibration.lens)")
     if unknown := [c for c in settings.radial if c not in cameras]:
         raise UserError(f"calibration.radial names camera {unknown[0]}, but the footage has {', '.join(cameras)}")
-    notes += [f"the k1 of camera {c} was changed by {k1:+g} (calibration.radial)" for c, k1 in settings.radial.items()]
+    changed = {c: k1 for c, k1 in settings.radial.items() if k1}
+    notes += [f"the k1 of camera {c} was changed by {k1:+g} (calibration.radial)" for c, k1 in changed.items()]
     centres = np.array([-p[:3, :3].T @ p[:3, 3] for p in poses])
     refuse_wrong_places(cameras, poses, centres, source)
     factor, unit_note = metres_per_unit(centres, reading.unit, settings.unit)

@@ -91,8 +91,15 @@ def _parser() -> argparse.ArgumentParser:
     view = word("view", _view, "show a finished scene's page in the browser", runs=False)
     settings = word("settings", _settings, "print every setting with its meaning and default", runs=False)
     for made in (doctor, look, run):
+        several = {"nargs": "+"} if made is run else {}
         films = "the capture: videos/ with one file per camera, and optional calibration, keypoints, masks, depth"
-        made.add_argument("folder", type=Path, metavar="DIR", help=films)
+        made.add_argument("folder", type=Path, metavar="DIR", help=films, **several)
+    run.add_argument(
+        "--rig",
+        type=Path,
+        metavar="DIR",
+        help="take whose cameras the others use (default: one with a calibration, or the longest)",
+    )
     for made in (demo, run):
         made.add_argument("--preset", metavar="P", help=f"{', '.join(_presets())}, or a file of your own")
         made.add_argument("--budget", metavar="MIN", type=float, help="minutes it may take: chooses the preset")
@@ -181,7 +188,33 @@ def _look(options: argparse.Namespace) -> int:
 
 
 def _run(options: argparse.Namespace) -> int:
-    return _snakemake("", _capture(options.folder), options)
+    if len(options.folder) > 1 or options.rig is not None:
+        return _run_takes(options)
+    return _snakemake("", _capture(options.folder[0]), options)
+
+
+def _run_takes(options: argparse.Namespace) -> int:
+    from studiorecon.cli import takes  # loads numerical libraries, which other subcommands do not need
+
+    rest = options.rest
+    if own := [
+        word for word in split_option(rest, ("--config", "-C"))[0] if word.startswith(("scene=", "capture_yaml="))
+    ]:
+        raise UserError(f"{own[0]} is for one take; run it alone, or leave this out")
+    found, notes = takes.open_takes(options.folder)
+    rig_of = takes.open_takes([options.rig])[0] if options.rig is not None else []
+    if not found or (options.rig is not None and not rig_of):
+        raise UserError(f"{options.folder[0] if rig_of else options.rig} is no folder; give the folders of the takes")
+
+    def run(folder: Path, more: Sequence[str]) -> tuple[int, bool]:
+        options.rest, options.stopped = [*rest, *(["--config", *more] if more else [])], False
+        return _snakemake("", str(folder), options), options.stopped
+
+    for note in notes:
+        print(note, flush=True)
+    rows = takes.run_takes(found, rig_of[0] if rig_of else None, run)
+    print(takes.write_rows(rows))
+    return int(any(row["result"] != "done" for row in rows))
 
 
 def _plan(options: argparse.Namespace) -> int:
@@ -272,6 +305,7 @@ def _snakemake(target: str, dataset: str, options: argparse.Namespace) -> int:
                 break
             except KeyboardInterrupt:
                 # Snakemake got the signal as well, and ends its jobs in order.
+                options.stopped = True
                 continue
     return status
 

@@ -18,7 +18,7 @@ from studiorecon.camera_files.colmap import write_model
 from studiorecon.footage.video import read_frames
 from studiorecon.geometry.rotations import log
 from studiorecon.images.encoded import write_png
-from studiorecon.scene.camera import Camera
+from studiorecon.scene.camera import Camera, Lens
 from studiorecon.scene.files import write_text
 
 if TYPE_CHECKING:
@@ -82,17 +82,23 @@ def nerfstudio(
 
 def pose2sim(folder: Path, cameras: Sequence[Camera], points_m: Float[np.ndarray, "N 3"]) -> list[Path]:
     """Writes ``Calib.toml``: one table per camera, axis-angle world-to-camera, metres."""
+    write_text(folder / "Calib.toml", pose2sim_tables(cameras))
+    return [folder / "Calib.toml"]
+
+
+def pose2sim_tables(cameras: Sequence[Camera | Lens]) -> str:
+    """The text of a ``Calib.toml``, with the distortion of cameras that still have one."""
     text = ""
     for c in cameras:
+        model, distortion = (c.model, c.distortion) if isinstance(c, Lens) else ("opencv", np.zeros(4))
         text += f"[{json.dumps(c.name)}]\nname = {json.dumps(c.name)}\nsize = [{c.wh[0]:.1f}, {c.wh[1]:.1f}]\n"
-        text += f"matrix = {(c.intrinsics - _CENTRE_SHIFT).tolist()}\ndistortions = [0.0, 0.0, 0.0, 0.0]\n"
+        text += f"matrix = {(c.intrinsics - _CENTRE_SHIFT).tolist()}\ndistortions = {distortion.tolist()}\n"
         text += (
             f"rotation = {log(c.camera_from_world[:3, :3]).tolist()}\ntranslation = "
             f"{c.camera_from_world[:3, 3].tolist()}\n"
         )
-        text += "fisheye = false\n\n"
-    write_text(folder / "Calib.toml", text + "[metadata]\nadjusted = false\nerror = 0.0\n")
-    return [folder / "Calib.toml"]
+        text += f"fisheye = {json.dumps(model == 'fisheye')}\n\n"
+    return text + "[metadata]\nadjusted = false\nerror = 0.0\n"
 
 
 WRITERS: dict[str, Callable[..., list[Path]]] = {
