@@ -93,20 +93,6 @@ def test_clean_plates_alone_show_nobody(configured, capture, home):
     assert make_plan(configured(), home).person_sources.detector_cameras == CAMERAS
 
 
-@pytest.mark.parametrize(
-    ("effect", "enhance", "words"),
-    [
-        ("enhancement", {"enhancer": "none"}, r"enhancement: on, but enhance\.enhancer is none"),
-        ("enhancement", {"strength": 0.0}, r"enhancement: on, but enhance\.strength is 0"),
-        ("injection", {"injection": {"history": 0}}, r"injection: on, but enhance\.injection\.history is 0"),
-    ],
-)
-def test_what_is_forced_on_must_have_something_to_do(configured, home, effect, enhance, words):
-    with pytest.raises(UserError, match=words):
-        make_plan(configured(survey={"force": {effect: "on"}}, enhance=enhance), home)
-    make_plan(configured(survey={"force": {effect: "off"}}, enhance=enhance), home)
-
-
 def test_forced_away_people_are_not_looked_for(configured, home):
     plan = make_plan(configured(survey={"force": {"people": "off"}}, detect={"source": "detector"}), home)
     assert not plan.people
@@ -141,17 +127,6 @@ def test_networks_bring_their_image_and_their_gpu(configured, home):
     assert images.of_network("precomputed") == images.of_network("") == images.named("core")
     assert (images.gpus("moge"), images.gpus("precomputed")) == (1, 0)
     assert read_images(configured(device="cpu"), home).gpus("moge") == 0
-
-
-def test_a_network_that_finds_cameras_takes_no_map_of_a_calibrations_pixels(configured, capture, home):
-    (capture / "capture.yaml").write_text("pixel_maps: {left: {scale: 2.0, offset: [0, 0]}}\n")
-    with pytest.raises(UserError, match=r"calibration.source is pi3, which uses the footage as it is"):
-        make_plan(configured(calibration={"source": "pi3"}), home)
-
-
-def test_a_licence_that_is_not_allowed_is_refused(configured, home):
-    with pytest.raises(UserError, match="may not be used commercially"):
-        make_plan(configured(calibration={"source": "pi3"}, licences="commercial"), home)
 
 
 def test_an_image_is_named_by_digest_or_by_what_was_built(configured, home, tmp_path):

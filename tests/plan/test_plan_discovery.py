@@ -223,11 +223,6 @@ def test_chapters_of_one_recording_are_one_camera(made: Callable[..., Path], nam
         assert list(films_in_order) == sorted(films_in_order, key=lambda p: ("GP" in p.name, p.name))
 
 
-def test_a_missing_chapter_is_named(made: Callable[..., Path]) -> None:
-    with pytest.raises(UserError, match="chapter 2 is missing"):
-        open_dataset(made("videos/GX010101.MP4 videos/GX030101.MP4 videos/b.MP4"))
-
-
 def test_parts_that_are_not_sure_are_joined_as_the_sentence_says(made: Callable[..., Path]) -> None:
     folder = made(f"videos/cam{c}-{part}.mp4" for c in (1, 2) for part in (1, 2))
     found = open_dataset(folder)
@@ -248,15 +243,6 @@ def test_several_takes_in_a_camera_s_folder_are_joined_as_the_sentence_says(made
         open_dataset(folder)
     (folder / "capture.yaml").write_text(str(refused.value).rpartition("capture.yaml: ")[2] + "\n")
     assert [p.name for p in open_dataset(folder).chapters["a"]] == ["C0001.MP4", "C0002.MP4"]
-
-
-def test_keypoints_of_only_some_chapters_are_refused(made: Callable[..., Path]) -> None:
-    chapters = [f"GX0{k}0101" for k in (1, 2, 3)]
-    folder = made([f"videos/{c}.MP4" for c in chapters] + ["videos/b.MP4"] + [f"keypoints/{c}.npz" for c in chapters])
-    assert [p.stem for p in open_dataset(folder).chapter_keypoints["GX010101"]] == chapters
-    (folder / "keypoints/GX030101.npz").unlink()
-    with pytest.raises(UserError, match="GX030101"):
-        open_dataset(folder)
 
 
 def grey_film(path: Path, levels: Iterable[int]) -> Path:
@@ -349,15 +335,6 @@ def test_a_named_file_that_is_not_there_is_refused(
     make_plan(config, home)
 
 
-@pytest.mark.parametrize("scene", ["studio", "body"])
-def test_a_scene_does_not_take_the_folder_of_what_scenes_share(
-    configured: Callable[..., dict[str, Any]], home: Path, scene: str
-) -> None:
-    with pytest.raises(UserError, match="--config scene=NAME"):
-        make_plan(configured(scene=scene), home)
-    make_plan(configured(scene=f"{scene}1"), home)
-
-
 WHOLE = ("videos/a.mp4", "videos/b.mp4", "keypoints/a/0.json", "keypoints/b.npz", "plates/a.png", "identities.tsv")
 
 
@@ -392,22 +369,3 @@ def test_what_is_closed_or_no_file_of_a_capture_is_named(rule: str, place: str) 
                 path.chmod(0o755)
     assert place in said
     assert "\n" not in said
-
-
-@pytest.mark.parametrize(
-    ("films", "described", "named"),
-    [
-        ("a.mp4 b.mp4", "masks: ..", "holds nothing for a camera"),
-        ("a.mp4 b.mp4", "chapters: {a: [videos/a.mp4, videos/a.mp4]}", "a.mp4 twice"),
-        ("a.mp4 b.mp4", "chapters: {a: [../a.mp4]}", "names films of a that are not in"),
-        ("a.mp4 b.mp4", "chapters: {a: []}", "names films of a that are not in"),
-        ("\u00fc.mp4 u\u0308.mp4 b.mp4", "people: 1", "two cameras named 'ü'"),
-    ],
-)
-def test_what_capture_yaml_names_and_nothing_fits_is_refused(
-    made: Callable[..., Path], films: str, described: str, named: str
-) -> None:
-    folder = made([f"videos/{film}" for film in films.split()])
-    (folder / "capture.yaml").write_text(described + "\n")
-    with pytest.raises(UserError, match=named):
-        open_dataset(folder)

@@ -143,19 +143,6 @@ class TestDataset:
         (folder / "capture.yaml").write_text(text)
         assert tuple(open_dataset(folder).starts.values()) == starts
 
-    def test_a_missing_folder(self, tmp_path: Path) -> None:
-        with pytest.raises(UserError, match="does not exist"):
-            open_dataset(tmp_path / "nothing")
-
-    def test_no_footage(self, tmp_path: Path) -> None:
-        with pytest.raises(UserError, match=r"videos/\*\.mp4"):
-            open_dataset(tmp_path)
-
-    def test_two_videos_of_one_name(self, folder: Path) -> None:
-        (folder / "videos" / "01.mov").touch()
-        with pytest.raises(UserError, match="more than one video named '01'"):
-            open_dataset(folder)
-
 
 def test_an_array_that_promises_more_than_it_holds_reserves_nothing(tmp_path: Path) -> None:
     whole = npy(np.zeros((4, 4)))

@@ -482,32 +482,6 @@ def test_defaults_are_the_only_place_of_options_and_complete(root: Path):
     assert all("#" in line or line.endswith(":") for line in comments), "every option is explained"
 
 
-@pytest.mark.parametrize(
-    ("options", "sentence"),
-    [
-        ({"peoples": 2}, "unknown option peoples"),
-        ({"effects": {"bal": True}}, "unknown option effects.bal"),
-        ({"people": 7}, "people is 7; it must be between 0 and 4"),
-        ({"people": "two"}, "must be a whole number"),
-        ({"seed": -1}, "seed is -1"),
-        ({"cameras": {"height_m": [1.5, 9]}}, "cameras.height_m is 9"),
-        ({"cameras": {"look_at_m": [0, float("nan"), 1]}}, "cameras.look_at_m is nan"),
-        ({"calibration": {"position_error_m": 1e12}}, "calibration.position_error_m is"),
-        ({"size": [97, 56]}, "must be even"),
-        ({"calibration": {"format": "xml"}}, "must be one of easymocap"),
-        ({"cameras": {"training": 3, "held_out": 3, "layout": "arc"}}, "2 gaps"),
-    ],
-)
-def test_a_wrong_description_is_answered_with_one_sentence(tmp_path: Path, options: dict, sentence: str):
-    path = tmp_path / "wrong.yaml"
-    path.write_text(yaml.safe_dump(options))
-    with pytest.raises(UserError) as refusal:
-        read_description(path)
-    assert sentence in str(refusal.value)
-    assert "wrong.yaml" in str(refusal.value)
-    assert "\n" not in str(refusal.value)
-
-
 def test_a_folder_the_studio_did_not_fill_is_left_alone(tmp_path: Path):
     keep = tmp_path / "dataset" / "videos" / "mine.mp4"
     keep.parent.mkdir(parents=True)
@@ -565,25 +539,3 @@ def test_planning_a_capture_needs_no_array_library(root: Path):
         "assert not {'numpy', 'embreex', 'cv2'} & set(sys.modules), 'heavy'"
     )
     subprocess.run([sys.executable, "-c", code], cwd=root, check=True)
-
-
-# ---- A studio's description asks for no more than a machine can draw ----
-
-
-@pytest.mark.parametrize(
-    ("text", "mended"),
-    [
-        ("size: [40000, 25000]", "size: [4000, 2500]\nsupersampling: 1"),
-        ("size: [8192, 8192]\nsupersampling: 8", "size: [1024, 1024]\nsupersampling: 8"),
-        ("size: [31, 64]", "size: [32, 64]"),
-        ("people: 04", "people: 4"),
-        ("frames: 10\nframes: 20", "frames: 20"),
-    ],
-)
-def test_what_cannot_be_drawn_is_refused(tmp_path: Path, text: str, mended: str) -> None:
-    file = tmp_path / "mine.yaml"
-    file.write_text(text)
-    with pytest.raises(UserError, match=r"mine\.yaml"):
-        read_description(file)
-    file.write_text(mended)
-    read_description(file)

@@ -45,24 +45,6 @@ def test_a_row_changes_the_base_and_one_with_a_preset_the_preset(tmp_path: Path)
     given = {"a": {"x": 0, "y": 0, "z": 0}}
     assert row_configuration(given, base, one, tmp_path) == {"a": {"x": 1, "y": 2, "z": 0}}
     assert row_configuration(given, base, other, tmp_path) == {"a": {"x": 0, "y": 7, "z": 3}}
-    with pytest.raises(UserError, match="preset p"):
-        row_configuration(given, base, other, tmp_path / "elsewhere")
-
-
-@pytest.mark.parametrize(
-    "rows",
-    [
-        [],
-        [("first", "", "", "")],
-        [("base", "", "", ""), ("base", "", "", "")],
-        [("base", "", "", ""), ("a/b", "", "", "")],
-        [("base", "", "", "no equals sign")],
-        [("base", "", "", "a.b=[1")],
-    ],
-)
-def test_a_table_that_cannot_be_read_names_its_file(tmp_path: Path, rows: list[tuple[str, str, str, str]]) -> None:
-    with pytest.raises(UserError, match=r"t\.tsv"):
-        read_rows(write_table(tmp_path / "t.tsv", rows))
 
 
 def test_settings_are_yaml_values() -> None:

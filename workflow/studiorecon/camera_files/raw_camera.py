@@ -178,9 +178,9 @@ def rigid_camera_from_world(
     # A damaged number may have any size: overflow is refused below.
     with np.errstate(all="ignore"):
         determinant = np.linalg.det(rotation)
-    if not (np.isfinite(determinant) and np.abs(rotation).max() < _MAX_SCALE):
+    if not (np.isfinite(determinant) and determinant != 0 and np.abs(rotation).max() < _MAX_SCALE):
         raise UserError(f"{where}: the 3×3 block is no rotation (it holds {np.abs(rotation).max():.3g}); {_AGAIN}")
-    if determinant <= 0:
+    if determinant < 0:
         raise UserError(
             f"{where}: the rotation has determinant {determinant:.3g}, a mirror image and not a camera; "
             "an axis was negated once too often when the file was written"

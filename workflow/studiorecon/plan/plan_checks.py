@@ -10,6 +10,7 @@ from typing import Any
 
 from studiorecon.calibration.formats import accepted_formats
 from studiorecon.errors import UserError
+from studiorecon.models.catalogue.card import Kind
 from studiorecon.models.catalogue.registry import MODELS, cards_of_kind
 from studiorecon.plan.decisions import Plan
 from studiorecon.scene.user_files import file_size
@@ -24,6 +25,11 @@ PRECOMPUTED = {
 }
 # Depth networks that need no GPU.
 _ON_A_CPU = [card.name for card in cards_of_kind("monocular depth", "inverse depth") if card.memory.gpu_gb is None]
+
+
+def _networks(kind: Kind) -> str:
+    """The names of a kind of networks, as a setting takes them."""
+    return " or ".join(card.name for card in cards_of_kind(kind))
 
 
 def find_precomputed(config: Mapping[str, Any], section: str, stem: str) -> Path:
@@ -46,9 +52,9 @@ def check_plan(plan: Plan, config: Mapping[str, Any]) -> None:
     _named_files(plan, config)
     _precomputed(plan, config)
     if (named := config["detect"]["network"]) and named not in MODELS and not Path(named).is_file():
-        known = " or ".join(card.name for card in cards_of_kind("point detector"))
         raise UserError(
-            f"detect.network names {named}, which does not exist; name an .onnx file, or {known}, or leave it empty"
+            f"detect.network names {named}, which does not exist; name an .onnx file, or "
+            f"{_networks('point detector')}, or leave it empty"
         )
     if plan.networks.depth == "onnx" and not Path(config["depth"]["network"]).is_file():
         raise UserError(
@@ -60,13 +66,13 @@ def check_plan(plan: Plan, config: Mapping[str, Any]) -> None:
     if plan.networks.first_depth and not plan.networks.cameras:
         raise UserError(
             "depth.reference is calibration, which is the depth of the network that estimates the cameras, but "
-            f"calibration.source is {config['calibration']['source']}: set that to a network or the reference to "
-            "planes"
+            f"calibration.source is {config['calibration']['source']}: set that to "
+            f"{_networks('pose and depth')}, or the reference to planes"
         )
     if config["views"]["people"] == "network" and not plan.networks.masks:
         raise UserError(
             "views.people is network, which is the network of masks.source, but that is "
-            f"{config['masks']['source']}: set that to one, or views.people to bodies"
+            f"{config['masks']['source']}: set that to {_networks('person segmenter')}, or views.people to bodies"
         )
     if plan.lifts_pelvises:
         _lifting(plan)
@@ -131,7 +137,7 @@ def _enhancement(plan: Plan, config: Mapping[str, Any]) -> None:
     if config["background"]["refinement"]["views"] and not plan.networks.refiner:
         raise UserError(
             "background.refinement.views needs a network that repairs views of the half-trained room, but "
-            f"enhance.enhancer is {enhance['enhancer']}: set that to a network (difix, fixer), or the views to 0"
+            f"enhance.enhancer is {enhance['enhancer']}: set that to {_networks('picture enhancer')}, or the views to 0"
         )
     for setting, value in (("enhancer", "none"), ("strength", 0)):
         if plan.forced_effects.get("enhancement") == "on" and enhance[setting] == value:
@@ -148,16 +154,15 @@ def _enhancement(plan: Plan, config: Mapping[str, Any]) -> None:
 
 def _lifting(plan: Plan) -> None:
     setting = "people.association.position: scene"
-    monocular = [card.name for card in cards_of_kind("monocular depth")]
     if not plan.networks.cameras:
         raise UserError(
             f"{setting} needs the first moment's depth of the network that estimates the cameras: set "
-            "calibration.source to one, or the position to rays"
+            f"calibration.source to {_networks('pose and depth')}, or the position to rays"
         )
-    if plan.networks.depth not in monocular:
+    if plan.networks.depth not in [card.name for card in cards_of_kind("monocular depth")]:
         raise UserError(
-            f"{setting} needs the depth of every frame: set depth.source to {' or '.join(monocular)}, or the position "
-            "to rays"
+            f"{setting} needs the depth of every frame: set depth.source to {_networks('monocular depth')}, or the "
+            "position to rays"
         )
     if plan.person_sources.detector_cameras:
         raise UserError(

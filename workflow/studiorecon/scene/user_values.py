@@ -107,7 +107,7 @@ def numbers(value: Any, where: str, *, finite: bool = True) -> Float[np.ndarray,
         if isinstance(value, np.ndarray) and array.dtype.kind not in "iufO":
             raise UserError(f"{where}: the array holds {array.dtype}; it must hold real numbers")
         if array.dtype.kind not in "iuf":
-            raise UserError(f"{where}: {short_text(value)} are not numbers in lists of one length")
+            raise ValueError
         array = array.astype(np.float64)
     except (ValueError, TypeError, OverflowError, RecursionError):
         raise UserError(f"{where}: {short_text(value)} are not numbers in lists of one length") from None

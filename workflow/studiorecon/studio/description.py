@@ -248,11 +248,9 @@ def _check_ranges(d: Description, path: Path) -> None:
             f"{path}: size {list(d.size)} with supersampling {d.supersampling} is {drawn / 1e6:,.0f} million pixels "
             f"a picture; at most {_MAX_DRAWN_PX / 1e6:,.0f} million are drawn, no side longer than {_MAX_SIDE_PX}"
         )
-    if d.cameras.layout == "arc" and d.cameras.held_out > d.cameras.training - 1:
+    gaps = d.cameras.training - (d.cameras.layout == "arc")
+    if d.cameras.held_out > gaps:
         raise UserError(
-            f"{path}: an arc of {d.cameras.training} cameras has {d.cameras.training - 1} gaps for cameras.held_out"
-        )
-    if d.cameras.layout == "ring" and d.cameras.held_out > d.cameras.training:
-        raise UserError(
-            f"{path}: a ring of {d.cameras.training} cameras has {d.cameras.training} gaps for cameras.held_out"
+            f"{path}: cameras.held_out is {d.cameras.held_out}, and between {d.cameras.training} cameras in a "
+            f"{d.cameras.layout} there is room for {gaps}; set it to at most that"
         )

@@ -52,11 +52,9 @@ def read(files: list[Path]) -> Reading:
 def camera_of_table(name: str, table: dict, path: Path, notes: list[str]) -> RawCamera:
     """One camera from a table with matrix, distortions, rotation (axis-angle or matrix) and translation."""
     where = f"camera {name} in {path}"
-    missing = [k for k in ("matrix", "rotation", "translation") if k not in table]
+    missing = [k for k in ("rotation", "translation") if k not in table]
     if missing:
-        raise UserError(
-            f"{where}: {missing[0]} is missing; the file holds intrinsics only, run the extrinsic calibration too"
-        )
+        raise UserError(f"{where}: {missing[0]} is missing; run the extrinsic calibration too")
     pose, scale = rigid_camera_from_world(
         rotation_from_file(table["rotation"], f"{where}: rotation"),
         finite_vector(table["translation"], f"{where}: translation"),

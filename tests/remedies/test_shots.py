@@ -10,12 +10,12 @@ from typing import Any
 
 import numpy as np
 import pytest
-from studiorecon.errors import UserError
 from studiorecon.render.look_at_targets import LookAtTargets
 from studiorecon.render.planning import plan_steps
 from studiorecon.scene.camera import Camera
 from studiorecon.scene.path import PathStep
 
+from tests.made.remedies import follow
 from tests.made.scene import FPS, ring, room
 
 CAMERAS = ring([0, 90, 180, 270], "cam")
@@ -24,49 +24,49 @@ SCALED = {"fl_x": 100, "w": 10, "h": 10, "frames": [{"transform_matrix": (2 * np
 RIGID = {**SCALED, "frames": [{"transform_matrix": np.eye(4).tolist()}]}
 KEYS = [{"picture": 0, "camera": "cam0"}, {"picture": 5, "camera": "cam1"}]
 
-# The shot, how many cameras there are (training, held out), what is said, and the same once that was done.
+# The shot, how many cameras there are (training, held out), where it is said, and the same once that was done.
 ROWS: dict[str, tuple[dict[str, Any], tuple[int, int], str, dict[str, Any], tuple[int, int]]] = {
-    "unknown kind": ({"kind": "orbits"}, (4, 0), "known kinds are .*orbit", {"kind": "orbit"}, (4, 0)),
-    "held-out": ({"kind": "heldout"}, (4, 0), "name some under held_out", {"kind": "heldout"}, (3, 1)),
+    "unknown kind": ({"kind": "orbits"}, (4, 0), "render/kinds.py read_film_settings", {"kind": "orbit"}, (4, 0)),
+    "held-out": ({"kind": "heldout"}, (4, 0), "render/planning.py plan_steps 2", {"kind": "heldout"}, (3, 1)),
     "one camera": (
         {"kind": "spline"},
         (1, 0),
-        "give it keys",
+        "render/keyframes.py from_camera_to_camera",
         {"kind": "spline", "keys": [KEYS[0], KEYS[0] | {"picture": 4}]},
         (1, 0),
     ),
     "one key": (
         {"kind": "spline", "keys": KEYS[:1]},
         (4, 0),
-        "at least two keys",
+        "render/keyframes.py read_keys",
         {"kind": "spline", "keys": KEYS},
         (4, 0),
     ),
     "nobody's name": (
         {"kind": "orbit", "target": "p7"},
         (4, 0),
-        "known targets are people, scene.*p0",
+        "render/look_at_targets.py LookAtTargets._of",
         {"kind": "orbit", "target": "p0"},
         (4, 0),
     ),
     "no such camera": (
         {"kind": "oscillate", "camera": "x"},
         (4, 0),
-        "training cameras are cam0",
+        "render/moves.py camera_named",
         {"kind": "oscillate", "camera": "cam0"},
         (4, 0),
     ),
     "too near": (
         {"kind": "dolly_zoom", "camera": "cam1", "distances": [1.0, 0.01]},
         (4, 0),
-        "raise its distances",
+        "render/moves.py dolly_zoom_steps",
         {"kind": "dolly_zoom", "camera": "cam1", "distances": [1.0, 0.5]},
         (4, 0),
     ),
     "a scaled pose": (
         {"kind": "path", "file": SCALED},
         (4, 0),
-        "remove its scale of 2",
+        "render/path_file.py path_steps 2",
         {"kind": "path", "file": RIGID},
         (4, 0),
     ),
@@ -87,7 +87,5 @@ def planned(shot: dict[str, Any], counts: tuple[int, int], folder: Path) -> Sequ
 
 @pytest.mark.parametrize("row", ROWS)
 def test_a_shot_described_as_advised_is_planned(row: str, tmp_path: Path) -> None:
-    shot, counts, messages, mended, enough = ROWS[row]
-    with pytest.raises(UserError, match=messages):
-        planned(shot, counts, tmp_path)
-    assert len(planned(mended, enough, tmp_path)) > 0
+    shot, counts, place, mended, enough = ROWS[row]
+    follow(place, lambda: planned(shot, counts, tmp_path), lambda: planned(mended, enough, tmp_path))
