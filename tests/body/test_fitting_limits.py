@@ -139,7 +139,7 @@ def test_gradient_agrees_with_finite_differences(body: BodyModel, with_skin: boo
     problem = problem_of(body, targets, np.full((2, 25), 0.01), settings, surface)
     # Far enough from the truth that some joints are beyond their limits and some points beyond the Huber bound.
     local = rotations.exp(poses.reshape(2, 24, 3)) @ rotations.exp(rng.normal(0, 0.6, (2, 24, 3)))
-    assert (prior.beyond_limits(prior.bend_from_mean(local)) != 0).sum() > 5
+    assert (prior.body_prior().beyond_limits(prior.body_prior().bend(local)) != 0).sum() > 5
     state = FitState(local, trans + 0.01, rng.normal(0, 0.5, 10), 0.05, rng.normal(0, 0.01, (25, 3)))
     normal = normal_of(problem, state)
     side, scale = normal.coupling[:, -1], np.abs(normal.coupling[:, -1]).max()
@@ -303,7 +303,7 @@ def test_unobserved_twist_is_marked(body: BodyModel, layout: str) -> None:
     assert twist > 25
     assert across < 10
     # Where it is marked the prior decides: nothing runs away.
-    bend = np.linalg.norm(prior.bend_from_mean(fit.rotations), axis=-1)
+    bend = np.linalg.norm(prior.body_prior().bend(fit.rotations), axis=-1)
     assert np.rad2deg(bend[:, [JOINT_NAMES.index(f"{s}_collar") for s in ("left", "right")]]).max() < 30
     # The surface shows it.
     seen = solve(body, points, SETTINGS, names=names, surface=skin(body, poses, np.zeros(10), trans))
@@ -471,7 +471,7 @@ def test_limits_hold_a_joint_that_nothing_else_holds(body: BodyModel) -> None:
     poses[0, 3 * left_knee : 3 * left_knee + 3] = [-0.7, 0, 0]
     points = body.keypoints(NAMES, poses, np.zeros(10), trans)
     fits = [solve(body, points, replace(SETTINGS, limit_weight=weight), sigma_m=0.03) for weight in (0, 1, 10)]
-    bends = [prior.bend_from_mean(fit.rotations)[0, left_knee, 0] for fit in fits]
+    bends = [prior.body_prior().bend(fit.rotations)[0, left_knee, 0] for fit in fits]
     low = prior.limits()[0][left_knee, 0]
     assert bends[0] < low - 0.1
     assert bends[0] + 0.05 < bends[1] < bends[2]

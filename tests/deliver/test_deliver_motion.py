@@ -15,6 +15,7 @@ import ezc3d
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
+from studiorecon.body.hands import posed_skeleton
 from studiorecon.body.model import BodyModel, of_size
 from studiorecon.deliver import gltf, motion_files
 from studiorecon.deliver.export import write_motion
@@ -52,8 +53,18 @@ def y_up(points: np.ndarray) -> np.ndarray:
     return np.stack([points[..., 0], points[..., 2], -points[..., 1]], axis=-1)
 
 
-def test_bvh_replays_the_joints(tmp_path: Path, person: Person, body: BodyModel) -> None:
+def fingered(person: Person) -> Person:
+    """The person with bent fingers and hands of another size."""
+    turns = np.random.default_rng(5).normal(0, 0.3, (FRAMES, 90))
+    return replace(person, hand_poses=turns, hand_scale=np.array([1.1, 0.9]))
+
+
+@pytest.mark.parametrize("fingers", [False, True])
+def test_bvh_replays_the_joints(tmp_path: Path, person: Person, body: BodyModel, fingers: bool) -> None:
     """Forward kinematics straight from the file: offsets, channel order and degrees as written there."""
+    person = fingered(person) if fingers else person
+    skeleton, poses = posed_skeleton(person, body)
+    count = 54 if fingers else 24
     motion_files.bvh(tmp_path / "p2.bvh", person, body)
     words = (tmp_path / "p2.bvh").read_text().split()
     names, parents, offsets, stack, at = [], [], [], [], 1
@@ -72,15 +83,38 @@ def test_bvh_replays_the_joints(tmp_path: Path, person: Person, body: BodyModel)
     assert words[at + 1 : at + 3] == ["Frames:", str(FRAMES)]
     assert float(words[at + 5]) == pytest.approx(1 / FPS)
     channels = np.array([float(v) for v in words[at + 6 :]]).reshape(FRAMES, -1)
-    assert channels.shape[1] == 6 + 23 * 3
-    places, angles = channels[:, :3], channels[:, 3:].reshape(FRAMES, 24, 3)
-    local = Rotation.from_euler("ZXY", angles.reshape(-1, 3), degrees=True).as_matrix().reshape(FRAMES, 24, 3, 3)
-    world, joints = [None] * 24, np.zeros((FRAMES, 24, 3))
+    assert channels.shape[1] == 6 + (count - 1) * 3
+    places, angles = channels[:, :3], channels[:, 3:].reshape(FRAMES, count, 3)
+    local = Rotation.from_euler("ZXY", angles.reshape(-1, 3), degrees=True).as_matrix().reshape(FRAMES, count, 3, 3)
+    world, joints = [None] * count, np.zeros((FRAMES, count, 3))
     for j, parent in enumerate(parents):
         world[j] = local[:, j] if parent < 0 else world[parent] @ local[:, j]
         joints[:, j] = places if parent < 0 else joints[:, parent] + (world[parent] @ np.array(offsets[j]))
-    order = [motion_files.JOINT_NAMES.index(n) for n in names]
-    assert np.abs(joints - y_up(person.joints[:, order])).max() < 2e-5, "metres, to six digits"
+    order = [skeleton.names.index(n) for n in names]
+    assert np.abs(joints - y_up(skeleton.joints(poses, person.betas, person.trans)[:, order])).max() < 2e-5, (
+        "metres, to six digits"
+    )
+
+
+def test_fingers_are_markers_smplh_poses_and_bones(tmp_path: Path, person: Person, body: BodyModel) -> None:
+    """Only for a person who has them; the skin of the glb bends with the bones."""
+    hands = fingered(person)
+    skeleton, poses = posed_skeleton(hands, body)
+    write_motion(tmp_path, hands, body)
+    labels = ezc3d.c3d(str(tmp_path / "p2.c3d"))["parameters"]["POINT"]["LABELS"]["value"]
+    names = [name for name in (tmp_path / "p2.trc").read_text().splitlines()[3].split("\t")[2:] if name]
+    assert labels == names
+    assert names[25:27] == ["LThumb1", "LThumb2"]
+    assert names[-1] == "RPinky4"
+    tip = skeleton.keypoints(["right_pinky4"], poses, hands.betas, hands.trans)
+    points = ezc3d.c3d(str(tmp_path / "p2.c3d"))["data"]["points"]
+    assert np.abs(points[:3, -1, 0] - 1000 * tip[0, 0]).max() < 1e-2
+    with np.load(tmp_path / "p2.amass.npz") as smplh:
+        np.testing.assert_array_equal(smplh["poses"], np.concatenate([person.poses[:, :66], hands.hand_poses], axis=1))
+    whole = (tmp_path / "p2.glb").read_bytes()
+    document = json.loads(whole[20 : 20 + struct.unpack("<I", whole[12:16])[0]])
+    assert [node["name"] for node in document["nodes"]][:54] == list(skeleton.names)
+    assert len(document["animations"][0]["channels"]) == 55
 
 
 def test_bvh_in_centimetres_is_the_same_motion(tmp_path: Path, person: Person, body: BodyModel) -> None:
@@ -319,7 +353,7 @@ def test_glb_replays_the_surface(tmp_path: Path, person: Person, body: BodyModel
 
 def test_a_fit_of_another_body_is_not_delivered(tmp_path: Path, person: Person, body: BodyModel) -> None:
     written = write_motion(tmp_path, person, body)
-    endings = ["amass.npz", "angles.tsv", "bvh", "c3d", "glb", "mot", "openpose3d.json", "trc"]
+    endings = ["amass.npz", "bvh", "c3d", "glb", "openpose3d.json", "trc"]
     assert sorted(p.name for p in written) == [f"p2.{ending}" for ending in endings]
     assert all(p.stat().st_size > 1000 for p in written)
     other = Person(**{**vars(person), "body": "smpl_neutral"})

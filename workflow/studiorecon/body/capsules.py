@@ -25,13 +25,13 @@ class Occluder:
     ends_m: Num[np.ndarray, "C 2 3"]
     radius_m: Num[np.ndarray, " C"]
 
-    def posed(self, world_from_rest: Num[np.ndarray, "24 4 4"]) -> Num[np.ndarray, "C 7"]:
+    def posed(self, world_from_rest: Num[np.ndarray, "J 4 4"]) -> Num[np.ndarray, "C 7"]:
         """Capsules in the world, two ends and a radius, from joint transforms; none if a transform is not finite.
 
         Raises ValueError for another shape.
         """
-        if world_from_rest.shape != (24, 4, 4):
-            raise ValueError(f"joint transforms have shape {world_from_rest.shape}, expected (24, 4, 4)")
+        if world_from_rest.shape not in ((24, 4, 4), (54, 4, 4)):
+            raise ValueError(f"joint transforms have shape {world_from_rest.shape}, expected (24, 4, 4) or (54, 4, 4)")
         if not np.isfinite(world_from_rest).all():
             return np.zeros((0, 7))
         own = world_from_rest[self.joint]
@@ -46,7 +46,7 @@ def build_occluder(model: BodyModel, betas: Num[np.ndarray, " B"]) -> Occluder:
     """
     vertices, strongest = model.rest_vertices(betas), model.weights.argmax(axis=1)
     joints, ends, radii = [], [], []
-    for joint in range(24):
+    for joint in range(model.weights.shape[1]):
         own = vertices[strongest == joint]
         if len(own) < _MIN_VERTICES:
             continue

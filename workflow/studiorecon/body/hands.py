@@ -7,6 +7,7 @@ the thumb) and the knuckle (flexion, towards the palm). The right hand's angles 
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -25,7 +26,33 @@ def posed_skeleton(person: Person, body: BodyModel) -> tuple[BodyModel, Num[np.n
     """The body with its poses: 24 joints, or 54 where the person has fingers."""
     if person.hand_poses is None:
         return body, person.poses
-    return body.with_fingers, np.concatenate([person.poses, person.hand_poses], axis=1)
+    assert person.hand_scale is not None
+    return scale_hands(body, person.hand_scale), np.concatenate([person.poses, person.hand_poses], axis=1)
+
+
+def scale_hands(body: BodyModel, scales: Num[np.ndarray, " 2"]) -> BodyModel:
+    """The body of 54 joints whose left and right hand are ``scales`` times as large about the wrists."""
+    whole = body.with_fingers
+    parts = {
+        "joints": [whole.joint_template_m.copy(), whole.joint_directions.copy()],
+        "surface": [whole.template_m.copy(), whole.shape_directions.copy()],
+    }
+    for side, scale in enumerate(scales):
+        wrist, own = 20 + side, [20 + side, 22 + side, *range(24 + 15 * side, 39 + 15 * side)]
+        of_joints = np.isin(np.arange(len(whole.names)), own).astype(np.float64)
+        longer = (scale - 1) * of_joints, (scale - 1) * whole.weights[:, own].sum(1, dtype=np.float64)
+        # Template and directions alike: lengths are linear in both.
+        for factor, arrays in zip(longer, parts.values()):
+            for array, joints in zip(arrays, (whole.joint_template_m, whole.joint_directions)):
+                array += factor.reshape(-1, *(1,) * (array.ndim - 1)) * (array - joints[wrist])
+    (joint_template, joint_directions), (template, directions) = parts.values()
+    return replace(
+        whole,
+        joint_template_m=joint_template,
+        joint_directions=joint_directions,
+        template_m=template,
+        shape_directions=directions,
+    )
 
 
 def finger_axes(body: BodyModel) -> Num[np.ndarray, "2 5 3 3"]:

@@ -31,6 +31,7 @@ _PERSON = {
     "hand_poses": OptionalField(radians("T 90")),
     "hand_joints": OptionalField(metres("T 30 3")),
     "hand_sigma": OptionalField(metres("T 30", gaps=True, low=0, such=KNOWN_OR_INFINITE)),
+    "hand_scale": OptionalField(real("2", low=0.1, high=10)),
     "mocap_framerate": frame_rate(),
 }
 
@@ -41,7 +42,7 @@ def write_person(path: Path, person: Person) -> None:
         name: getattr(person, name)
         for name in ("name", "body", "poses", "trans", "betas", "joints", "valid", "present", "sigma", "metric")
     }
-    hands = {name: getattr(person, name) for name in ("hand_poses", "hand_joints", "hand_sigma")}
+    hands = {name: getattr(person, name) for name in ("hand_poses", "hand_joints", "hand_sigma", "hand_scale")}
     arrays |= {name: array for name, array in hands.items() if array is not None}
     write_npz(path, arrays | {"mocap_framerate": person.fps})
 

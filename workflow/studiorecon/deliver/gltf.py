@@ -15,12 +15,12 @@ from typing import TYPE_CHECKING, Any, Literal
 import numpy as np
 
 from studiorecon.body.avatar.avatar_files import Avatar
+from studiorecon.body.hands import posed_skeleton
 from studiorecon.body.model import BodyModel
 from studiorecon.deliver.body_colours import BodyColours
 from studiorecon.deliver.motion_files import Y_UP_FROM_Z_UP
 from studiorecon.errors import UserError
 from studiorecon.geometry import rotations
-from studiorecon.keypoints.layouts import JOINT_NAMES
 from studiorecon.scene.files import atomic_path
 from studiorecon.scene.people import Person
 
@@ -62,7 +62,7 @@ class Buffer:
         return len(self.accessors) - 1
 
 
-def strongest_bones(weights: Float[np.ndarray, "V 24"]) -> tuple[Integer[np.ndarray, "V 4"], Float[np.ndarray, "V 4"]]:
+def strongest_bones(weights: Float[np.ndarray, "V J"]) -> tuple[Integer[np.ndarray, "V 4"], Float[np.ndarray, "V 4"]]:
     """Uint8 joints and float32 weights with sum 1; joints of zero weight are 0, as the specification requires."""
     joints = np.argsort(-weights, axis=1, kind="stable")[:, :BONES]
     kept = np.take_along_axis(weights, joints, axis=1).astype(np.float64)
@@ -107,7 +107,7 @@ def add_colours(
 def add_body(
     buffer: Buffer, body: BodyModel, betas: Float[np.ndarray, " B"], colours: BodyColours | None
 ) -> tuple[dict[str, Any], list[dict[str, Any]], int]:
-    """A primitive of the shaped T-pose, the nodes of its 24 joints, and the accessor of inverse bind matrices.
+    """A primitive of the shaped T-pose, the nodes of its joints, and the accessor of inverse bind matrices.
 
     Children are counted from the first node.
     """
@@ -121,11 +121,11 @@ def add_body(
     }
     attributes |= add_colours(buffer, colours.rgb, colours.provenance) if colours else {}
     indices = buffer.add(body.faces.reshape(-1, 1).astype(np.uint32), "indices")
-    inverse_bind = np.tile(np.eye(4, dtype=np.float32), (24, 1, 1))
+    inverse_bind = np.tile(np.eye(4, dtype=np.float32), (len(joints), 1, 1))
     inverse_bind[:, 3, :3] = -joints  # column-major: the translation is the last row here
-    bind = buffer.add(inverse_bind.reshape(24, 16))
+    bind = buffer.add(inverse_bind.reshape(-1, 16))
     nodes = []
-    for j, (name, parent) in enumerate(zip(JOINT_NAMES, body.parents)):
+    for j, (name, parent) in enumerate(zip(body.names, body.parents)):
         offset = joints[j] - (joints[parent] if parent >= 0 else 0)
         children = [k for k, p in enumerate(body.parents) if p == j]
         nodes.append({"name": name, "translation": offset.tolist()} | ({"children": children} if children else {}))
@@ -133,16 +133,17 @@ def add_body(
 
 
 def write_glb(path: Path, person: Person, body: BodyModel, colours: BodyColours | None = None) -> None:
-    """Write the shaped body in its T-pose, bound to 24 joints with the person's motion; grey without ``colours``.
+    """Write the shaped body in its T-pose, bound to its joints with the person's motion; grey without ``colours``.
 
     Interpolated frames are included; while the person is away the body has size zero.
     """
     buffer = Buffer()
+    body, poses = posed_skeleton(person, body)
     primitive, nodes, bind = add_body(buffer, body, person.betas, colours)
     document = {
         "asset": {"version": "2.0", "generator": "studiorecon"},
         "scene": 0,
-        "scenes": [{"nodes": [0, 24]}],
+        "scenes": [{"nodes": [0, len(nodes)]}],
         "nodes": [*nodes, {"name": person.name, "mesh": 0, "skin": 0}],
         "meshes": [{"name": person.name, "primitives": [primitive | {"material": 0}]}],
         "materials": [
@@ -154,8 +155,8 @@ def write_glb(path: Path, person: Person, body: BodyModel, colours: BodyColours 
                 }
             }
         ],
-        "skins": [{"inverseBindMatrices": bind, "joints": list(range(24)), "skeleton": 0}],
-        "animations": [{"name": "capture"} | motion_channels(buffer, person)],
+        "skins": [{"inverseBindMatrices": bind, "joints": list(range(len(nodes))), "skeleton": 0}],
+        "animations": [{"name": "capture"} | motion_channels(buffer, person, poses)],
     }
     write_document(path, document, buffer)
 
@@ -177,19 +178,21 @@ def write_document(path: Path, document: dict[str, Any], buffer: Buffer) -> None
         file.write(struct.pack("<I4s", len(buffer.data), b"BIN\0") + bytes(buffer.data))
 
 
-def motion_channels(buffer: Buffer, person: Person | Avatar, first: int = 0) -> dict[str, Any]:
-    """Samplers and channels that animate 24 joints, the nodes from ``first`` on, with a person's motion.
+def motion_channels(
+    buffer: Buffer, person: Person | Avatar, poses: Float[np.ndarray, "T 3*J"], first: int = 0
+) -> dict[str, Any]:
+    """Samplers and channels that animate J joints, the nodes from ``first`` on, with a person's motion.
 
     While a person is away the root is scaled to zero, which the specification names as the way to animate visibility.
     """
-    times = buffer.add((np.arange(len(person.poses)) / person.fps).astype(np.float32).reshape(-1, 1))
-    turned = rotations.exp(person.poses.reshape(-1, 24, 3))
+    times = buffer.add((np.arange(len(poses)) / person.fps).astype(np.float32).reshape(-1, 1))
+    turned = rotations.exp(poses.reshape(len(poses), -1, 3))
     turned[:, 0] = Y_UP_FROM_Z_UP @ turned[:, 0]
     quaternions = continuous_quaternions(rotations.to_quaternion(turned))[..., [1, 2, 3, 0]].astype(np.float32)
     places = (person.trans @ Y_UP_FROM_Z_UP.T).astype(np.float32)
-    outputs = [buffer.add(places), *(buffer.add(quaternions[:, j]) for j in range(24))]
+    outputs = [buffer.add(places), *(buffer.add(quaternions[:, j]) for j in range(turned.shape[1]))]
     samplers = [{"input": times, "output": output, "interpolation": "LINEAR"} for output in outputs]
-    paths = [(0, "translation"), *((j, "rotation") for j in range(24))]
+    paths = [(0, "translation"), *((j, "rotation") for j in range(turned.shape[1]))]
     if not person.present.all():
         sizes = np.repeat(person.present.astype(np.float32)[:, None], 3, axis=1)
         samplers.append({"input": times, "output": buffer.add(sizes), "interpolation": "STEP"})

@@ -15,9 +15,10 @@ from typing import TYPE_CHECKING, Literal
 
 import numpy as np
 
+from studiorecon.body.hands import posed_skeleton
 from studiorecon.body.model import BodyModel, shape_and_size
 from studiorecon.geometry import rotations
-from studiorecon.keypoints.layouts import JOINT_NAMES, LAYOUTS
+from studiorecon.keypoints.layouts import HAND_POINT_NAMES, LAYOUTS
 from studiorecon.machine.libraries import install_remedy
 from studiorecon.progress import say, warn
 from studiorecon.scene.files import atomic_path, write_npz, write_text
@@ -39,12 +40,16 @@ ways, of which ezc3d reads Vicon's only and Mokka none.
 def amass(path: Path, person: Person, body: BodyModel) -> list[Path]:
     """Writes ``poses trans betas mocap_framerate gender`` with SMPL's own ``trans``: pelvis = J(betas)₀ + trans.
 
-    In the project's own files ``trans`` is the pelvis itself. A person with a size in addition to the shape
-    (``people.fit.scale``) has ``scale``: multiply the shaped model by it.
+    A person with fingers has SMPL-H's 52 joints. In the project's own files ``trans`` is the pelvis itself. A person
+    with a size in addition to the shape (``people.fit.scale``) has ``scale``: multiply the shaped model by it.
     """
     betas, scale = shape_and_size(person.betas, body.shapes)
+    poses = person.poses
+    if person.hand_poses is not None:
+        # SMPL-H has fingers in the place of the two hand joints.
+        poses = np.concatenate([poses[:, :66], person.hand_poses], axis=1)
     arrays = {
-        "poses": person.poses,
+        "poses": poses,
         "trans": person.trans - body.rest_joints(person.betas)[0],
         "betas": betas,
         **({} if scale == 1.0 else {"scale": scale}),
@@ -67,8 +72,11 @@ def bvh(path: Path, person: Person, body: BodyModel, unit: Literal["m", "cm"] = 
     which every other file here has, Unreal and MotionBuilder read centimetres.
     """
     per_m = {"m": 1.0, "cm": 100.0}[unit]
+    body, poses = posed_skeleton(person, body)
     rest = per_m * body.rest_joints(person.betas)
-    children: dict[int, list[int]] = {j: [k for k, parent in enumerate(body.parents) if parent == j] for j in range(24)}
+    children: dict[int, list[int]] = {
+        j: [k for k, parent in enumerate(body.parents) if parent == j] for j in range(len(rest))
+    }
     lines, order = ["HIERARCHY"], []
 
     def describe(joint: int, depth: int) -> None:
@@ -78,7 +86,7 @@ def bvh(path: Path, person: Person, body: BodyModel, unit: Literal["m", "cm"] = 
         place = "Xposition Yposition Zposition " if not depth else ""
         lines.extend(
             [
-                f"{pad}{'JOINT' if depth else 'ROOT'} {JOINT_NAMES[joint]}",
+                f"{pad}{'JOINT' if depth else 'ROOT'} {body.names[joint]}",
                 pad + "{",
                 f"{pad}\tOFFSET {_numbers(offset)}",
             ]
@@ -92,7 +100,7 @@ def bvh(path: Path, person: Person, body: BodyModel, unit: Literal["m", "cm"] = 
         lines.append(pad + "}")
 
     describe(0, 0)
-    turned = rotations.exp(person.poses.reshape(-1, 24, 3))
+    turned = rotations.exp(poses.reshape(len(poses), -1, 3))
     turned[:, 0] = Y_UP_FROM_Z_UP @ turned[:, 0]
     angles = euler_zxy_deg(turned)[:, order].reshape(len(turned), -1)
     places = per_m * person.trans @ Y_UP_FROM_Z_UP.T
@@ -103,14 +111,15 @@ def bvh(path: Path, person: Person, body: BodyModel, unit: Literal["m", "cm"] = 
 
 
 def trc(path: Path, person: Person, body: BodyModel) -> list[Path]:
-    """Writes OpenSim's marker file: surface points under OpenPose BODY_25 names; y up, metres, frames from 1.
+    """Writes OpenSim's marker file: surface points under OpenPose BODY_25 names, fingers under Pose2Sim's (LIndex1).
 
-    Unmeasured frames are empty, which OpenSim reads as missing.
+    y up, metres, frames from 1. Unmeasured frames are empty, which OpenSim reads as missing.
     """
-    points = body.keypoints(_BODY_25, person.poses, person.betas, person.trans) @ Y_UP_FROM_Z_UP.T
+    markers, points = _markers(person, body)
+    points = points @ Y_UP_FROM_Z_UP.T
     # A program that computes time from the rate must be right after hours: 29.97 for 30000/1001 is not enough.
-    count, fps = len(_BODY_25), f"{person.fps:.10g}"
-    names = "\t".join(f"{name}\t\t" for name in map(openpose_name, _BODY_25))
+    count, fps = len(markers), f"{person.fps:.10g}"
+    names = "\t".join(f"{name}\t\t" for name in map(openpose_name, markers))
     axes = "\t".join(f"X{i}\tY{i}\tZ{i}" for i in range(1, count + 1))
     lines = [
         f"PathFileType\t4\t(X/Y/Z)\t{path.name}",
@@ -158,24 +167,32 @@ def _c3d_bytes(path: Path, person: Person, body: BodyModel, frames: slice) -> No
     import ezc3d  # takes 0.2 s, and only this format needs it
 
     valid = person.valid[frames]
-    points_m = body.keypoints(_BODY_25, person.poses[frames], person.betas, person.trans[frames])
-    points = np.ones((4, len(_BODY_25), len(points_m)))
+    markers, points_m = _markers(person, body, frames)
+    points = np.ones((4, len(markers), len(points_m)))
     points[:3] = np.moveaxis(1000 * points_m, -1, 0).swapaxes(1, 2)
     points[:3, :, ~valid] = np.nan
     file = ezc3d.c3d()
     file["header"]["points"]["first_frame"] = 0
     file["parameters"]["POINT"]["RATE"]["value"] = [person.fps]
     file["parameters"]["POINT"]["UNITS"]["value"] = ["mm"]
-    file["parameters"]["POINT"]["LABELS"]["value"] = [openpose_name(name) for name in _BODY_25]
+    file["parameters"]["POINT"]["LABELS"]["value"] = [openpose_name(name) for name in markers]
     file.add_parameter("POINT", "X_SCREEN", ["+X"])
     file.add_parameter("POINT", "Y_SCREEN", ["+Z"])
     file["data"]["points"] = points
-    file["data"]["meta_points"]["residuals"] = np.where(valid, 0.0, -1.0) * np.ones((1, len(_BODY_25), 1))
+    file["data"]["meta_points"]["residuals"] = np.where(valid, 0.0, -1.0) * np.ones((1, len(markers), 1))
     with atomic_path(path) as partial:
         file.write(str(partial))
         back = ezc3d.c3d(str(partial))["data"]["points"]
         if back.shape != points.shape:
             raise OSError(f"{path} has {back.shape[2]} frames when read back, {points.shape[2]} were written")
+
+
+def _markers(person: Person, body: BodyModel, frames: slice = slice(None)) -> tuple[tuple[str, ...], np.ndarray]:
+    """Names and world points (T, K, 3) of a person's markers: BODY_25, then 20 of each hand where there are fingers."""
+    body, poses = posed_skeleton(person, body)
+    hands = [name for side in HAND_POINT_NAMES for name in side[1:]] if person.hand_poses is not None else []
+    names = (*_BODY_25, *hands)
+    return names, body.keypoints(names, poses[frames], person.betas, person.trans[frames])
 
 
 def openpose_3d(path: Path, person: Person, body: BodyModel) -> list[Path]:

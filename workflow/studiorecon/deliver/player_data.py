@@ -35,7 +35,6 @@ if TYPE_CHECKING:
 
 # Most bytes of all motion, of colours over time and of shades: beyond them, fewer moments are stored.
 MOTION_BYTES, CHANGES_BYTES, SHADE_BYTES = 3_000_000, 1_500_000, 3_000_000
-_POSE_BYTES = 24 * 8 + 12
 # Brightness of a shaded Gaussian, as a multiple of its own.
 _SHADE_MAX = 1.5
 
@@ -56,7 +55,8 @@ def describe_scene(
     described: list[str] = []
     frames = scene.capture.frames
     bodies = max(len(scene.people) + len(scene.things), 1)
-    times = motion_times(frames, max(2, MOTION_BYTES // (bodies * _POSE_BYTES)))
+    joints = max((len(person.model.parents) for person in scene.people), default=24)
+    times = motion_times(frames, max(2, MOTION_BYTES // (bodies * (8 * joints + 12))))
     if len(times) < frames and (scene.people or scene.things):
         described.append(
             f"motion is sampled at {len(times)} moments of {frames} frames, between which it is continued "

@@ -33,7 +33,7 @@ def pack_skeleton(held: Bytes, person: Avatar, times: Num[np.ndarray, " K"]) -> 
     A person who is away at times also has the moments of presence.
     """
     poses, roots_m = zip(*(person.pose_at(float(time)) for time in times))
-    turns = rotations.to_quaternion(rotations.exp(np.array(poses).reshape(-1, 24, 3)))
+    turns = rotations.to_quaternion(rotations.exp(np.array(poses).reshape(len(times), -1, 3)))
     # The sign of a quaternion is chosen near the previous one: slow changes compress.
     flips = np.cumprod(np.where((turns[1:] * turns[:-1]).sum(axis=-1) < 0, -1.0, 1.0), axis=0)
     turns[1:] *= flips[..., None]
@@ -41,7 +41,7 @@ def pack_skeleton(held: Bytes, person: Avatar, times: Num[np.ndarray, " K"]) -> 
     return {
         "rest": held.floats(person.model.rest_joints(person.betas)),
         "parents": [int(parent) for parent in person.model.parents],
-        "turns": held.levels(turns.reshape(len(times), 96), 16, -1.0, 1.0),
+        "turns": held.levels(turns.reshape(len(times), -1), 16, -1.0, 1.0),
         "places": held.floats(np.array(roots_m)),
         "valid": held.whole(person.valid.astype(np.uint8), 8),
     } | ({} if person.present.all() else {"present": held.whole(there, 8)})

@@ -135,7 +135,7 @@ class _Parts:
         self.add_root({"name": person.person, "mesh": mesh, "skin": len(self.skins)})
         joints = [first + j for j in range(len(skeleton))]
         self.skins.append({"inverseBindMatrices": bind, "joints": joints, "skeleton": first})
-        self.add_motion(motion_channels(self.buffer, person, first))
+        self.add_motion(motion_channels(self.buffer, person, person.poses, first))
 
     def add_thing(self, thing: RigidObject, fps: float) -> None:
         motion = thing_motion(self.buffer, thing, fps, len(self.nodes))

@@ -18,7 +18,6 @@ from studiorecon.deliver.finished import read_finished
 from studiorecon.deliver.gltf import continuous_quaternions, srgb_to_linear
 from studiorecon.errors import UserError
 from studiorecon.geometry import rotations
-from studiorecon.keypoints.layouts import JOINT_NAMES
 from studiorecon.progress import say
 from studiorecon.scene.camera import Camera
 from studiorecon.scene.files import atomic_path
@@ -92,7 +91,7 @@ def add_body(stage: Any, path: str, person: Avatar) -> None:
             seen.Set(usd.UsdGeom.Tokens.inherited if there else usd.UsdGeom.Tokens.invisible, frame)
     rest_m = body.rest_joints(person.betas)
     names: list[str] = []
-    for joint, parent in zip(JOINT_NAMES, body.parents):
+    for joint, parent in zip(body.names, body.parents):
         names.append(f"{names[parent]}/{joint}" if parent >= 0 else joint)
     offsets_m = rest_m - np.where(body.parents[:, None] >= 0, rest_m[np.maximum(body.parents, 0)], 0)
     skeleton = usd.UsdSkel.Skeleton.Define(stage, f"{path}/skeleton")
@@ -102,7 +101,7 @@ def add_body(stage: Any, path: str, person: Avatar) -> None:
     motion = usd.UsdSkel.Animation.Define(stage, f"{path}/motion")
     motion.CreateJointsAttr(names)
     motion.CreateScalesAttr(usd.Vt.Vec3hArray([usd.Gf.Vec3h(1)] * len(names)))
-    turns = continuous_quaternions(rotations.to_quaternion(rotations.exp(person.poses.reshape(-1, 24, 3))))
+    turns = continuous_quaternions(rotations.to_quaternion(rotations.exp(person.poses.reshape(person.frames, -1, 3))))
     places, turned = motion.CreateTranslationsAttr(), motion.CreateRotationsAttr()
     for frame in range(person.frames):
         offsets_m[0] = person.trans[frame]

@@ -55,13 +55,13 @@ class Smoothing:
     )
 
     def smooth_body(
-        self, local: Num[np.ndarray, "T 24 3 3"], trans_m: Num[np.ndarray, "T 3"], fps: float
-    ) -> tuple[Num[np.ndarray, "T 24 3 3"], Num[np.ndarray, "T 3"]]:
+        self, local: Num[np.ndarray, "T J 3 3"], trans_m: Num[np.ndarray, "T 3"], fps: float
+    ) -> tuple[Num[np.ndarray, "T J 3 3"], Num[np.ndarray, "T 3"]]:
         """Joints' rotations, root first, and pelvis positions, smoothed with these settings.
 
         Raises ValueError for other shapes, values that are not finite, and a frame rate that is not positive.
         """
-        sizes = require("local", local, ("T", 24, 3, 3), finite=True)
+        sizes = require("local", local, ("T", "J", 3, 3), finite=True)
         require("trans_m", trans_m, ("T", 3), sizes, finite=True)
         alpha, sigma = at_frame_rate(self, fps)
         if self.smooth_in == "axis_angles":

@@ -13,6 +13,7 @@ from pathlib import Path
 
 import numpy as np
 
+from studiorecon.body.hands import posed_skeleton
 from studiorecon.body.model import BodyModel
 from studiorecon.footage.video import read_frames
 from studiorecon.humans.crops import Crop, SpooledCrop, TrainingCrop, classify_crops, mask_inset_px, person_crops
@@ -98,6 +99,7 @@ def read_crops(
 
 def _surface_over_time(model: BodyModel, fitted: Person) -> Iterator[np.ndarray]:
     """Yields the fitted body's vertices (V, 3) frame by frame: those of a minute would fill a gigabyte."""
+    model, poses = posed_skeleton(fitted, model)
     for first in range(0, len(fitted.poses), _FRAMES_AT_ONCE):
         own = slice(first, first + _FRAMES_AT_ONCE)
-        yield from model.vertices(fitted.poses[own], fitted.betas, fitted.trans[own])
+        yield from model.vertices(poses[own], fitted.betas, fitted.trans[own])

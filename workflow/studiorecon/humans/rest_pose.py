@@ -12,6 +12,7 @@ import numpy as np
 from studiorecon.arrays import spread_indices
 from studiorecon.body.avatar.posing import Posing
 from studiorecon.body.avatar.weight_grid import WeightGrid, all_bone_weights, build_weight_grid, strongest_weights
+from studiorecon.body.hands import posed_skeleton
 from studiorecon.body.model import BodyModel
 from studiorecon.humans.colours import add_evidence, nearest_surface
 from studiorecon.humans.crops import Crop
@@ -44,7 +45,7 @@ _SEEN_WEIGHT = 20.0
 def skinning_weights(
     samples: SurfaceSamples,
     vertices_m: Float[np.ndarray, "V 3"],
-    weights: Float[np.ndarray, "V 24"],
+    weights: Float[np.ndarray, "V J"],
     settings: Settings,
 ) -> tuple[Integer[np.ndarray, "N K"], Float[np.ndarray, "N K"], WeightGrid | None]:
     """Joints, weights, and the grid: the surface's four strongest joints, or all of the paper's voxel grid.
@@ -122,6 +123,7 @@ def build_rest_pose(
     rng: np.random.Generator,
 ) -> RestPose:
     """The person's Gaussians before the first step of training."""
+    body_model, poses = posed_skeleton(fitted, body_model)
     rest_m = body_model.rest_vertices(fitted.betas)
     outside = np.array([name != "inside" for name in body_model.region_names])
     faces = body_model.faces[outside[body_model.region[body_model.faces[:, 0]]]]
@@ -129,7 +131,7 @@ def build_rest_pose(
     bones, weights, grid = skinning_weights(samples, rest_m, body_model.weights, settings)
     posing = Posing(bones, weights)
     held = () if settings.additions.pose_joints == "all" else FIXED_JOINTS
-    motion = RefinedMotion(fitted.poses, fitted.trans, body_model.rest_joints(fitted.betas), body_model.parents, held)
+    motion = RefinedMotion(poses, fitted.trans, body_model.rest_joints(fitted.betas), body_model.parents, held)
     colours, seen = initial_colours(samples, posing, motion, crops)
     near, twin = surface_neighbours(samples, NEIGHBOURS), mirror_indices(samples, 2 * samples.spacing_m)
     degree = supported_degree(settings, motion, crops)

@@ -26,14 +26,14 @@ class SurfaceSamples:
 
     points_m: Float[np.ndarray, "N 3"]
     normals: Float[np.ndarray, "N 3"]
-    weights: Float[np.ndarray, "N 24"]
+    weights: Float[np.ndarray, "N J"]
     spacing_m: float
 
 
 def sample_surface(
     vertices_m: Float[np.ndarray, "V 3"],
     faces: Integer[np.ndarray, "F 3"],
-    weights: Float[np.ndarray, "V 24"],
+    weights: Float[np.ndarray, "V J"],
     count: int,
     rng: np.random.Generator,
 ) -> SurfaceSamples:
@@ -60,7 +60,7 @@ def sample_surface(
 def initial_samples(
     vertices_m: Float[np.ndarray, "V 3"],
     faces: Integer[np.ndarray, "F 3"],
-    weights: Float[np.ndarray, "V 24"],
+    weights: Float[np.ndarray, "V J"],
     how: StartSettings,
     rng: np.random.Generator,
 ) -> SurfaceSamples:
@@ -71,7 +71,7 @@ def initial_samples(
 
 
 def vertex_samples(
-    vertices_m: Float[np.ndarray, "V 3"], faces: Integer[np.ndarray, "F 3"], weights: Float[np.ndarray, "V 24"]
+    vertices_m: Float[np.ndarray, "V 3"], faces: Integer[np.ndarray, "F 3"], weights: Float[np.ndarray, "V J"]
 ) -> SurfaceSamples:
     """One point at every vertex that a face uses (paper, appendix D), with the model's own weights."""
     used = np.unique(faces)

@@ -20,6 +20,7 @@ from studiorecon.body.avatar.avatar_files import Avatar, write_avatar
 from studiorecon.body.avatar.control_points import ControlPoints
 from studiorecon.body.avatar.posing import MAX_SH_DEGREE
 from studiorecon.body.avatar.temporal import TemporalNetwork
+from studiorecon.body.hands import posed_skeleton
 from studiorecon.body.model import BodyModel
 from studiorecon.body.person_files import read_person
 from studiorecon.camera_files.colmap import read_model
@@ -239,7 +240,7 @@ def _avatar(
     )
     return Avatar(
         person=person,
-        model=body_model,
+        model=posed_skeleton(fitted, body_model)[0],
         gaussians=trained,
         bones=subject.bones,
         weights=subject.weights,
@@ -251,6 +252,7 @@ def _avatar(
         present=fitted.present,
         fps=fitted.fps,
         metric=fitted.metric,
+        hand_scale=fitted.hand_scale,
         network=appearance.active_network if appearance else None,
         decision=json.dumps(asdict(appearance.decision)) if appearance and appearance.decision else "",
     )

@@ -17,6 +17,8 @@ import numpy as np
 
 from studiorecon.body.fitting import fit as fitting
 from studiorecon.body.fitting import paper_solver
+from studiorecon.body.fitting.hands import HandFit, attach_hands, fit_hand
+from studiorecon.body.hands import scale_hands
 from studiorecon.body.model import BodyModel, of_size
 from studiorecon.body.person_files import write_person
 from studiorecon.camera_files.colmap import read_model
@@ -131,10 +133,12 @@ def fit_person(
     fps: float,
     settings: Settings,
     surface: fitting.SurfacePoints | None = None,
+    hands: Sequence[Points] | None = None,
 ) -> tuple[Person, fitting.Fit]:
     """The person in all frames, and the fit before gaps were filled; raises UserError when no frame could be measured.
 
-    ``surface``: triangulated surface points, where a source gives bodies (paper: the vertex term; U33).
+    ``surface``: triangulated surface points, where a source gives bodies (paper: the vertex term; U33). ``hands``: the
+    left and the right hand's points, where cameras show them.
     """
     frames = len(points.points_m)
     keys = settings.fit
@@ -178,8 +182,15 @@ def fit_person(
             f"{person}: no camera shows the legs in {(valid & bent.any(1)).sum()} frames: they are bent as if "
             "sitting, so that they stay above the floor, and sigma marks them as a guess"
         )
-    parts = local, result.trans_m, betas, valid, points.cameras > 0, result.joint_sigma_m
-    return _person(person, *parts, body, fps, settings), result
+    sigma_m, scale = result.joint_sigma_m, None
+    if hands is not None and body.fingers is not None:
+        measured = [np.where(valid[:, None, None], hand.points_m, np.nan) for hand in hands]
+        fits = [fit_hand(body, betas, side, at, hands[side].sigma_m, options) for side, at in enumerate(measured)]
+        report_hands(person, fits)
+        if any(fits):
+            local, sigma_m, scale = attach_hands(body, betas, local, sigma_m, fits)
+    parts = local, result.trans_m, betas, valid, points.cameras > 0, sigma_m
+    return _person(person, *parts, body, fps, settings, scale), result
 
 
 def _person(
@@ -193,27 +204,45 @@ def _person(
     body: BodyModel,
     fps: float,
     settings: Settings,
+    hand_scale: np.ndarray | None,
 ) -> Person:
     """The person with the frames that are not ``valid`` filled, smoothed and posed.
 
-    ``sigma_m`` (T, 24) counts where valid. A camera has the person in frames that are ``seen`` (T,).
+    ``sigma_m`` (T, J) counts where valid; J is 54 with a ``hand_scale``. A camera has the person in frames that are
+    ``seen`` (T,).
     """
     present = presence(valid, seen, fps)
     local, trans = settings.smooth.smooth_body(*fill_gaps(local, trans_m, valid, present), fps)
-    poses = rotations.log(local).reshape(len(valid), 72)
+    poses = rotations.log(local).reshape(len(valid), -1)
+    skeleton = body if hand_scale is None else scale_hands(body, hand_scale)
+    joints = skeleton.joints(poses, betas, trans)
+    sigma = np.where(valid[:, None], sigma_m, np.inf)
+    fingers = {"hand_poses": poses[:, 72:], "hand_joints": joints[:, 24:], "hand_sigma": sigma[:, 24:]}
     return Person(
         name=name,
         body=body.identity,
         fps=fps,
-        poses=poses,
+        poses=poses[:, :72],
         trans=trans,
         betas=betas,
-        joints=body.joints(poses, betas, trans),
+        joints=joints[:, :24],
         valid=valid,
-        sigma=np.where(valid[:, None], sigma_m, np.inf),
+        sigma=sigma[:, :24],
         metric=True,
         present=present,
+        **({} if hand_scale is None else fingers | {"hand_scale": hand_scale}),
     )
+
+
+def report_hands(person: str, fits: Sequence[HandFit | None]) -> None:
+    """Log in how many frames each hand was measured, and how well."""
+    for side, hand in zip(("left", "right"), fits):
+        if hand:
+            residual_mm, sigma_mm = 1000 * np.nanmedian(hand.residual_m), 1000 * np.median(hand.sigma_m[hand.valid])
+            say(
+                f"{person}: {side} fingers measured in {hand.valid.sum()} of {len(hand.valid)} frames; points are "
+                f"{residual_mm:.0f} mm from them (median), joints have a standard deviation of {sigma_mm:.0f} mm"
+            )
 
 
 def report_filled_frames(fitted: Person) -> None:

@@ -81,11 +81,14 @@ def retarget(donor: Donor, performer: Avatar) -> Avatar:
     ]
     trans = np.asarray(performer.trans, np.float64).copy()
     trans[:, 2] += lowest[0].astype(np.float64) - lowest[1]
+    bones = donor.bones
+    if len(model.parents) == 24:  # a donor's fingers follow the hand of a performer who has none
+        bones = np.where(bones < 24, bones, 22 + (bones.astype(int) - 24) // 15).astype(np.uint8)
     provenance = np.full(donor.gaussians.count, INVENTED, np.uint8)
     return replace(
         performer,
         gaussians=donor.gaussians,
-        bones=donor.bones,
+        bones=bones,
         weights=donor.weights,
         betas=donor.betas,
         trans=trans,

@@ -106,6 +106,7 @@ class Person:
         metric: True when lengths are metres.
         hand_poses, hand_joints, hand_sigma: axis-angles of SMPL-H's 30 finger joints, their places in the world and the
             deviations of those, as of ``joints``; None for a person whose fingers were not measured.
+        hand_scale: lengths of the left and the right hand relative to the body model's; None likewise.
         present: frames in which the person is present (default: all). In others the arrays interpolate from the place
             of leaving to the place of return, for cameras that follow the person.
     """
@@ -124,6 +125,7 @@ class Person:
     hand_poses: Num[np.ndarray, "T 90"] | None = None
     hand_joints: Num[np.ndarray, "T 30 3"] | None = None
     hand_sigma: Num[np.ndarray, "T 30"] | None = None
+    hand_scale: Num[np.ndarray, " 2"] | None = None
 
     def __post_init__(self) -> None:
         if not len(self.present):

@@ -101,6 +101,7 @@ class Actors:
             hand_poses=actor.poses[:, 72:] if with_fingers else None,
             hand_joints=joints[:, 24:] if with_fingers else None,
             hand_sigma=np.zeros((frames, 30)) if with_fingers else None,
+            hand_scale=np.ones(2) if with_fingers else None,
         )
 
     def _person(self, actor: Actor, frame: int) -> Mesh:

@@ -17,6 +17,7 @@ import numpy as np
 from studiorecon.body.avatar.drift import Drift
 from studiorecon.body.avatar.posing import Posing
 from studiorecon.body.avatar.temporal import NETWORK, TemporalNetwork
+from studiorecon.body.hands import scale_hands
 from studiorecon.body.model import BodyModel
 from studiorecon.errors import UserError
 from studiorecon.geometry import rotations
@@ -38,7 +39,7 @@ _NETWORK = "network."
 _AVATAR: dict[str, Schema] = {
     "person": text(),
     "body": text(),
-    "bones": whole("N K", low=0, high=23),
+    "bones": whole("N K", low=0, high=53),
     "weights": real("N K", low=0, high=1),
     "provenance": provenance_schema("N"),
     "poses": radians("T 72"),
@@ -48,6 +49,8 @@ _AVATAR: dict[str, Schema] = {
     "present": flag("T"),
     "mocap_framerate": frame_rate(),
     "metric": flag(),
+    "hand_poses": OptionalField(radians("T 90")),
+    "hand_scale": OptionalField(real("2", low=0.1, high=10)),
     "decision": text(),
     "seen_share": real(low=0, high=1),
     "mark": text(),
@@ -67,13 +70,14 @@ class Avatar:
         gaussians: N canonical Gaussians in the shaped rest pose, metres, SH degree at most 2.
         bones, weights: uint8 joints that carry each Gaussian; float32 skinning weights, rows sum to 1.
         provenance: uint8, see ``scene/provenance.py``: measured, or inferred from its surroundings on the body.
-        poses: refined axis-angle poses, radians.
+        poses: refined axis-angle poses of all joints, radians: 24, or 54 with fingers.
         trans: world position of the pelvis joint, metres.
         betas: shape, and size where there is one more than the shape space has (``body.model.of_size``).
         valid: frames in which the body was measured.
         metric: True when lengths are metres.
         network: adds residuals over time to colour and opacity of the Gaussians that it acts on; None for none.
         decision: the decision on that network as in ``survey/decisions.json``, JSON; "" when the survey made none.
+        hand_scale: of ``Person``, where the model has fingers.
         present: frames in which the person is present; in others nothing is drawn. All True by default.
     """
 
@@ -83,7 +87,7 @@ class Avatar:
     bones: Integer[np.ndarray, "N K"]
     weights: Float[np.ndarray, "N K"]
     provenance: Integer[np.ndarray, " N"]
-    poses: Num[np.ndarray, "T 72"]
+    poses: Num[np.ndarray, "T 3*J"]
     trans: Num[np.ndarray, "T 3"]
     betas: Num[np.ndarray, " B"]
     valid: Bool[np.ndarray, " T"]
@@ -91,6 +95,7 @@ class Avatar:
     metric: bool
     network: TemporalNetwork | None = None
     decision: str = ""
+    hand_scale: Num[np.ndarray, " 2"] | None = None
     present: Bool[np.ndarray, " T"] = field(default_factory=lambda: np.zeros(0, bool))
 
     def __post_init__(self) -> None:
@@ -106,7 +111,7 @@ class Avatar:
         """Share of the Gaussians that a training camera saw."""
         return float((self.provenance == MEASURED).mean()) if len(self.provenance) else 0.0
 
-    def pose_at(self, frame: float) -> tuple[Num[np.ndarray, " 72"], Num[np.ndarray, " 3"]]:
+    def pose_at(self, frame: float) -> tuple[Num[np.ndarray, " 3*J"], Num[np.ndarray, " 3"]]:
         """Axis-angle pose and pelvis position, metres, at a 0-based frame, interpolated on the sphere between frames.
 
         Frames outside the clip return its first or last pose. While the person is away, the pose moves towards where
@@ -129,17 +134,17 @@ class Avatar:
         at = float(np.clip(frame, 0, self.frames - 1))
         return bool(self.present[int(at) + (at - int(at) > 0.5)])
 
-    def joints_m(self, frame: float) -> Num[np.ndarray, "24 3"]:
+    def joints_m(self, frame: float) -> Num[np.ndarray, "J 3"]:
         """World joints at a possibly fractional frame, metres; infinitely far away while the person is away."""
-        return self._moved(frame)[1] if self.is_present(frame) else np.full((24, 3), np.inf)
+        return self._moved(frame)[1] if self.is_present(frame) else np.full((len(self.model.parents), 3), np.inf)
 
-    def world_from_rest(self, frame: float) -> Num[np.ndarray, "24 4 4"]:
+    def world_from_rest(self, frame: float) -> Num[np.ndarray, "J 4 4"]:
         """Transforms of the joints at a 0-based, possibly fractional frame; read-only."""
         return self._moved(frame)[0]
 
     @cached_property
     def _moved(self) -> Callable[[float], tuple[np.ndarray, np.ndarray]]:
-        def moved(frame: float) -> tuple[Num[np.ndarray, "24 4 4"], Num[np.ndarray, "24 3"]]:
+        def moved(frame: float) -> tuple[Num[np.ndarray, "J 4 4"], Num[np.ndarray, "J 3"]]:
             pose, trans = self.pose_at(frame)
             transforms = self.model.joint_transforms(pose[None], self.betas, trans[None])[0]
             joints = self.model.joints(pose[None], self.betas, trans[None])[0]
@@ -204,6 +209,8 @@ def write_avatar(ply: Path, npz: Path, avatar: Avatar, mark: str = "") -> None:
         {f"{_NETWORK}{name}": value for name, value in avatar.network.to_arrays().items()} if avatar.network else {}
     )
     arrays["decision"] = avatar.decision
+    if avatar.hand_scale is not None:
+        arrays |= {"poses": avatar.poses[:, :72], "hand_poses": avatar.poses[:, 72:], "hand_scale": avatar.hand_scale}
     write_npz(npz, arrays | {"seen_share": avatar.seen_share, "mark": mark, "gaussians_sha256": _sha256(ply)})
 
 
@@ -245,14 +252,18 @@ def read_avatar(ply: Path, npz: Path, model: BodyModel, *, brought: bool = False
                 f"{model.identity} was given; use the same body file"
             )
         held = {name.removeprefix(_NETWORK): data[name] for name in data if name.startswith(_NETWORK)}
+        scale = data.get("hand_scale")
+        if scale is not None:
+            data["poses"] = np.concatenate([data["poses"], data["hand_poses"]], axis=1)
         return Avatar(
             person=str(data["person"]),
-            model=model,
+            model=model if scale is None else scale_hands(model, scale),
             gaussians=gaussians,
             fps=float(data["mocap_framerate"]),
             metric=bool(data["metric"]),
             network=TemporalNetwork.from_arrays(held) if held else None,
             decision=str(data["decision"]),
+            hand_scale=scale,
             **{name: data[name] for name in _ARRAYS},
         )
 

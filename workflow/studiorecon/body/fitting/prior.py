@@ -8,6 +8,7 @@ limits of bones and ligaments (a knee forwards, a forearm turned twice) a second
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from functools import cache
 from typing import TYPE_CHECKING
 
@@ -75,11 +76,6 @@ def precision() -> Num[np.ndarray, "24 3"]:
     return 1.0 / deviations**2
 
 
-def bend_from_mean(local: Num[np.ndarray, "F 24 3 3"]) -> Num[np.ndarray, "F 24 3"]:
-    """Axis-angles from the relaxed pose to ``local``."""
-    return rotations.log(np.swapaxes(mean_pose(), -1, -2) @ local)
-
-
 @cache
 def limits() -> tuple[Num[np.ndarray, "24 3"], Num[np.ndarray, "24 3"]]:
     """Least and most bend about each joint's axes, read-only; infinite for the pelvis, hands and feet."""
@@ -93,14 +89,47 @@ def limits() -> tuple[Num[np.ndarray, "24 3"], Num[np.ndarray, "24 3"]]:
     return low, high
 
 
-def beyond_limits(bent: Num[np.ndarray, "F 24 3"]) -> Num[np.ndarray, "F 24 3"]:
-    """How far bends are beyond the limits, with sign; 0 within."""
-    low, high = limits()
-    return bent - np.clip(bent, low, high)
+@dataclass(frozen=True)
+class PosePrior:
+    """Rotations around which joints vary, and how far; ``body_prior`` is the body's.
+
+    Attributes:
+        mean: relaxed rotations relative to the parents.
+        precision: inverse variances of the bend from them about each joint's axes.
+        low, high: least and most bend.
+        axes: those axes as columns, where they are not the joint's own.
+    """
+
+    mean: Num[np.ndarray, "24 3 3"]
+    precision: Num[np.ndarray, "24 3"]
+    low: Num[np.ndarray, "24 3"]
+    high: Num[np.ndarray, "24 3"]
+    axes: Num[np.ndarray, "24 3 3"] | None = None
+
+    def bend(self, local: Num[np.ndarray, "F 24 3 3"]) -> Num[np.ndarray, "F 24 3"]:
+        """Bends from the relaxed pose to ``local`` about the joints' axes."""
+        bent = rotations.log(np.swapaxes(self.mean, -1, -2) @ local)
+        return bent if self.axes is None else np.einsum("jyx,fjy->fjx", self.axes, bent)
+
+    def beyond_limits(self, bent: Num[np.ndarray, "F 24 3"]) -> Num[np.ndarray, "F 24 3"]:
+        """How far bends are beyond the limits, with sign; 0 within."""
+        return bent - np.clip(bent, self.low, self.high)
+
+    def bend_derivative(self, bent: Num[np.ndarray, "F 24 3"]) -> Num[np.ndarray, "F 24 3 3"]:
+        """Derivative of ``bend`` by a small turn about the joint's own axes."""
+        if self.axes is None:
+            return _inverse_right_jacobian(bent)
+        return np.swapaxes(self.axes, -1, -2) @ _inverse_right_jacobian(np.einsum("jxy,fjy->fjx", self.axes, bent))
 
 
-def bend_derivative(bent: Num[np.ndarray, "F 24 3"]) -> Num[np.ndarray, "F 24 3 3"]:
-    """Derivative of ``bend_from_mean`` by a small turn about the joint's own axes: the inverse right Jacobian of SO(3).
+@cache
+def body_prior() -> PosePrior:
+    """The prior of the body's 24 joints."""
+    return PosePrior(mean_pose(), precision(), *limits())
+
+
+def _inverse_right_jacobian(bent: np.ndarray) -> np.ndarray:
+    """(F, 24, 3, 3) inverse right Jacobian of SO(3) at axis-angles.
 
     I + [φ]×/2 + (1 − (θ/2) cot(θ/2)) / θ² [φ]×²; the last factor tends to 1/12 at 0.
     """

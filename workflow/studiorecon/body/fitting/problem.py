@@ -17,8 +17,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 import scipy
 
-from studiorecon.body.fitting import prior
 from studiorecon.body.fitting.point_model import FitState, PointModel
+from studiorecon.body.fitting.prior import LIMIT_SIGMA_RAD, PosePrior, body_prior
 from studiorecon.body.model import BodyModel
 
 if TYPE_CHECKING:
@@ -74,10 +74,13 @@ class NormalEquations:
 class Problem:
     """The cost and its derivatives; immutable after construction."""
 
-    def __init__(self, body: BodyModel, evidence: PointEvidence, priors: PriorWeights) -> None:
+    def __init__(
+        self, body: BodyModel, evidence: PointEvidence, priors: PriorWeights, pose: PosePrior | None = None
+    ) -> None:
         self.evidence, self.priors, self.model = evidence, priors, evidence.model
-        self.precision = prior.precision() * priors.pose_weight  # (24, 3); 0 for the root
-        self.limit_precision = priors.limit_weight / prior.LIMIT_SIGMA_RAD**2
+        self.pose = pose or body_prior()
+        self.precision = self.pose.precision * priors.pose_weight  # (24, 3); 0 for the root
+        self.limit_precision = priors.limit_weight / LIMIT_SIGMA_RAD**2
         share, anchors = body.keypoint_anchors([f"{n}_joint" for n in body.names])
         self.skeleton = PointModel(body, share, anchors, self.model.ancestors, 0)
         # A detector's bias is the same in every frame, so the frames count as one for the shared corrections.
@@ -100,8 +103,8 @@ class Problem:
         units = np.sqrt(self.evidence.precision * np.einsum("fkx,fkx->fk", residual, residual))
         bound = self.priors.huber_units
         data = self.evidence.share * np.where(units < bound, 0.5 * units**2, bound * (units - 0.5 * bound))
-        bend = prior.bend_from_mean(state.local)
-        pull = self.precision * bend**2 + self.limit_precision * prior.beyond_limits(bend) ** 2
+        bend = self.pose.bend(state.local)
+        pull = self.precision * bend**2 + self.limit_precision * self.pose.beyond_limits(bend) ** 2
         return data.sum(1) + 0.5 * pull.sum((1, 2))
 
     def shared_cost(self, state: FitState) -> float:
@@ -142,9 +145,9 @@ class Problem:
         return NormalEquations(own, rows, shared, shared_side, world)
 
     def _add_prior(self, state: FitState, world: np.ndarray, own: np.ndarray, side: np.ndarray) -> None:
-        bend = prior.bend_from_mean(state.local)
-        beyond = prior.beyond_limits(bend)
-        rows = prior.bend_derivative(bend) @ np.swapaxes(world, -1, -2)  # of world-axis turns
+        bend = self.pose.bend(state.local)
+        beyond = self.pose.beyond_limits(bend)
+        rows = self.pose.bend_derivative(bend) @ np.swapaxes(world, -1, -2)  # of world-axis turns
         curvature = self.precision + self.limit_precision * (beyond != 0)
         block = np.swapaxes(rows, -1, -2) @ (curvature[..., None] * rows)
         pull = np.swapaxes(rows, -1, -2) @ (self.precision * bend + self.limit_precision * beyond)[..., None]

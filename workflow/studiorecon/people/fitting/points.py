@@ -4,7 +4,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -12,12 +12,15 @@ import numpy as np
 from studiorecon.body.model import BodyModel
 from studiorecon.configuration.setting import setting
 from studiorecon.geometry.triangulation import Limits, Solver, triangulate
-from studiorecon.keypoints.layouts import LAYOUTS
+from studiorecon.keypoints.layouts import HAND_POINT_NAMES, LAYOUTS
 from studiorecon.scene.camera import Camera
 from studiorecon.scene.people import Detections
 
 if TYPE_CHECKING:
     from jaxtyping import Float, Integer, Num
+
+
+_HALF_FINGER_M = 0.006
 
 
 @dataclass(frozen=True)
@@ -79,6 +82,21 @@ def person_keypoints(
                 out[view, frame] = [np.nan, np.nan, 0.0]
                 out[view, frame, target] = seen.keypoints[d, source]
     return names, out
+
+
+def triangulate_hands(
+    hands: Num[np.ndarray, "V T 2 21 3"], cameras: list[Camera], settings: Triangulation
+) -> list[Points]:
+    """World points of the left and the right hand.
+
+    A hand is small: a view that is off by half the body's limit shows another finger. Two cameras' points get the
+    thickness of half a finger added, as nothing proves that they mean the same side of it.
+    """
+    limits = replace(settings, outlier_units=settings.outlier_units / 2)
+    return [
+        triangulate_keypoints(list(names), hands[:, :, side], cameras, limits, _HALF_FINGER_M)
+        for side, names in enumerate(HAND_POINT_NAMES)
+    ]
 
 
 def detector_offset_m(names: Sequence[str], detections: Sequence[Detections]) -> Num[np.ndarray, " K"]:

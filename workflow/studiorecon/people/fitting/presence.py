@@ -64,11 +64,11 @@ def true_runs(chosen: Bool[np.ndarray, " T"]) -> list[tuple[int, int]]:
 
 
 def fill_gaps(
-    local: Num[np.ndarray, "T 24 3 3"],
+    local: Num[np.ndarray, "T J 3 3"],
     trans_m: Num[np.ndarray, "T 3"],
     measured: Bool[np.ndarray, " T"],
     there: Bool[np.ndarray, " T"],
-) -> tuple[Num[np.ndarray, "T 24 3 3"], Num[np.ndarray, "T 3"]]:
+) -> tuple[Num[np.ndarray, "T J 3 3"], Num[np.ndarray, "T 3"]]:
     """Joints' rotations and pelvis positions with frames that were not ``measured`` filled between measured ones.
 
     Every stretch in which a person is ``there`` is filled separately: before leaving they stop, and do not start
