@@ -170,13 +170,6 @@ def test_glasses_are_left_out_and_said_so(tmp_path):
     assert any("glasses" in n for n in reading.notes)
 
 
-def test_a_missing_anchor_is_refused_with_what_is_there(tmp_path):
-    paths = write_egohumans(tmp_path, named_ring())
-    paths[2].write_bytes(pickle.dumps({"aria03": np.eye(4)}))
-    with pytest.raises(UserError, match=r"no aria01 .it has aria03"):
-        calibration.read_calibration(paths)
-
-
 def test_a_pickle_that_would_run_a_program_is_not_opened(tmp_path):
     class Spiteful:
         def __reduce__(self):
@@ -189,15 +182,16 @@ def test_a_pickle_that_would_run_a_program_is_not_opened(tmp_path):
     assert not (tmp_path / "ran").exists()
 
 
-def test_a_camera_that_moves_is_refused_by_name(tmp_path):
+def test_a_camera_that_moves_is_left_out_by_name(tmp_path):
     path = write_dynamic(tmp_path, named_ring())[0]
     content = json.loads(path.read_text())
     content["w2c"][2][1] = (
         np.array(content["w2c"][2][1]) @ np.block([[exp(np.array([0, 0.2, 0])), np.zeros((3, 1))], [0, 0, 0, 1]])
     ).tolist()
     path.write_text(json.dumps(content))
-    with pytest.raises(UserError, match="cam01 moves"):
-        calibration.read_calibration([path])
+    found = calibration.read_calibration([path])
+    assert [c.name for c in found.cameras] == ["cam00", "cam02", "cam03"]
+    assert any("cam01 moves (by 11.5" in note for note in found.notes)
 
 
 def test_cameras_without_names_need_the_same_number_of_videos():

@@ -165,31 +165,6 @@ def test_vicon_s_lens_films_what_it_filmed(tmp_path: Path, shift: float, old: bo
     assert np.abs(ours + principal - filmed)[inside].max() < 0.05
 
 
-def test_what_cannot_be_read_is_refused(tmp_path: Path) -> None:
-    def refused(match: str, path: Path) -> None:
-        with pytest.raises(UserError, match=match):
-            read_calibration([path])
-
-    xcp = tmp_path / "calibration.xcp"
-    write_vicon(tmp_path, planted(), 'VICON_RADIAL2="Vicon9 1 2 3 4 5"')
-    refused(r"camera c0 in .*lens model 'Vicon9' is not known", xcp)
-    write_vicon(tmp_path, planted(), 'VICON_RADIAL="-2e-6 0"')
-    refused(r"camera c0 in .*cannot be written in OpenCV's numbers", xcp)
-    write_vicon(tmp_path, planted(), aspect="1.09")
-    refused(r"PIXEL_ASPECT_RATIO is '1.09'; only square pixels", xcp)
-    still = planted()[0]
-    write_vicon(tmp_path, [still, replace(planted()[1], name=still.name)])
-    refused(r"camera c0 moves", xcp)
-    (tmp_path / "old.cal").write_bytes(b"\x00binary")
-    refused(r"binary calibration of Motive before 3\.2.*save it as \.mcal", tmp_path / "old.cal")
-    (tmp_path / "a.calib").write_text("1920\n1080\n1 2 3\n")
-    refused(r"camera a in .*its lines hold \[1, 1, 3\] numbers", tmp_path / "a.calib")
-    (tmp_path / "a.calib").write_text("1920\nsize\n")
-    refused(r"line 2 is 'size'; bioCV writes nothing but numbers", tmp_path / "a.calib")
-    (tmp_path / "a.pickle").write_bytes(pickle.dumps({"intrinsicMat": np.eye(3)}))
-    refused(r"camera a in .*distortion is missing", tmp_path / "a.pickle")
-
-
 def test_a_pickle_of_opencap_runs_no_program(tmp_path: Path) -> None:
     class Spiteful:
         def __reduce__(self) -> tuple[object, ...]:

@@ -64,10 +64,8 @@ def read(files: list[Path]) -> Reading:
             left_out.append(name)
     kept = {camera.name for camera in cameras}
     missing = sorted(set(left_out) - kept)
-    notes = (f"{path.name} has no pose of {', '.join(missing)}, which was left out",) if missing else ()
-    return Reading(
-        "AliceVision cameras.sfm", tuple(merged_static(cameras, 0.01, 1.0)) if cameras else (), "unknown", notes
-    )
+    notes = [f"{path.name} has no pose of {', '.join(missing)}, which was left out"] if missing else []
+    return Reading("AliceVision cameras.sfm", merged_static(cameras, notes), "unknown", tuple(notes))
 
 
 def _camera(name: str, pose: dict[str, Any], lens: dict[str, Any], version: tuple[int, ...], where: str) -> RawCamera:

@@ -19,7 +19,8 @@ def recognises(files: list[Path]) -> bool:
 
 def read(files: list[Path]) -> Reading:
     """One static camera per picture folder (or picture); COLMAP's scale is arbitrary unless the model was aligned."""
-    return Reading("COLMAP", tuple(merged_static(posed_pictures(files), 0.01, 1.0)), "unknown", ())
+    notes: list[str] = []
+    return Reading("COLMAP", merged_static(posed_pictures(files), notes), "unknown", tuple(notes))
 
 
 FORMAT = CalibrationFormat(

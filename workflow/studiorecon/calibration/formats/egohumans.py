@@ -39,15 +39,13 @@ def read(files: list[Path]) -> Reading:
     colmap_from_metric = _similarity(similarity_file)
     everything = posed_pictures(model)
     exo = [c for c in everything if not c.name.lower().startswith("aria")]
-    notes = []
+    notes: list[str] = []
     if len(exo) < len(everything):
         notes.append("the pictures of the glasses were left out: their cameras move")
     scale = float(np.linalg.norm(colmap_from_metric[:3, :3], axis=0).mean())
     notes.append(f"{similarity_file.name} makes the COLMAP model metric: one metre is {scale:.4g} of its units")
-    cameras = merged_static(
-        [_metric(c, colmap_from_metric, f"camera {c.name} in {model[0].parent}") for c in exo], 0.01, 1.0
-    )
-    return Reading("EgoHumans/Harmony4D", tuple(cameras), "m", tuple(notes))
+    metric = [_metric(c, colmap_from_metric, f"camera {c.name} in {model[0].parent}") for c in exo]
+    return Reading("EgoHumans/Harmony4D", merged_static(metric, notes), "m", tuple(notes))
 
 
 def _similarity(path: Path) -> np.ndarray:

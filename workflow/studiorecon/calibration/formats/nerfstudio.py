@@ -21,9 +21,8 @@ def read(files: list[Path]) -> Reading:
     for index, camera in enumerate(found.cameras):
         if not camera.name:
             raise UserError(f"picture {index} of {files[0]} has no file_path; it must name the picture")
-    return Reading(
-        "nerfstudio transforms.json", tuple(merged_static(list(found.cameras), 0.01, 1.0)), "unknown", found.notes
-    )
+    notes = list(found.notes)
+    return Reading("nerfstudio transforms.json", merged_static(found.cameras, notes), "unknown", tuple(notes))
 
 
 FORMAT = CalibrationFormat(

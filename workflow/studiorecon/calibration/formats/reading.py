@@ -3,7 +3,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -12,6 +12,10 @@ import numpy as np
 
 from studiorecon.camera_files.raw_camera import RawCamera
 from studiorecon.errors import UserError
+
+# A static camera's poses of several pictures differ by what bundle adjustment leaves: less than this share of the
+# spread of all cameras, and this angle.
+_STILL, _STILL_DEG = 0.01, 1.0
 
 
 @dataclass(frozen=True)
@@ -70,25 +74,28 @@ class CalibrationFormat:
     file_per_camera: bool = False
 
 
-def merged_static(cameras: list[RawCamera], centre_tolerance: float, angle_tolerance_deg: float) -> list[RawCamera]:
-    """One entry per name where a file has one per frame; raises UserError when a camera of that name moves.
+def merged_static(cameras: Sequence[RawCamera], notes: list[str]) -> tuple[RawCamera, ...]:
+    """One entry per name where a file has one per frame; a camera that moves is left out with a sentence in ``notes``.
 
-    ``centre_tolerance`` is in the file's unit, relative to the spread of all centres.
+    Raises UserError when all of them move.
     """
     centres = np.array([-c.camera_from_world[:3, :3].T @ c.camera_from_world[:3, 3] for c in cameras])
-    spread = float(np.ptp(centres, axis=0).max()) if len(centres) else 0.0
+    still = _STILL * max(float(np.ptp(centres, axis=0).max()) if len(centres) else 0.0, 1e-9)
     kept: dict[str, tuple[RawCamera, np.ndarray]] = {}
+    moving: dict[str, float] = {}
     for camera, centre in zip(cameras, centres):
-        if camera.name not in kept:
-            kept[camera.name] = (camera, centre)
-            continue
-        first, first_centre = kept[camera.name]
+        first, first_centre = kept.setdefault(camera.name, (camera, centre))
         turned = first.camera_from_world[:3, :3] @ camera.camera_from_world[:3, :3].T
         skew = np.array([turned[2, 1] - turned[1, 2], turned[0, 2] - turned[2, 0], turned[1, 0] - turned[0, 1]])
-        angle = np.degrees(np.arctan2(np.linalg.norm(skew) / 2, (np.trace(turned) - 1) / 2))
-        if np.linalg.norm(centre - first_centre) > centre_tolerance * max(spread, 1e-9) or angle > angle_tolerance_deg:
-            raise UserError(
-                f"camera {camera.name} moves ({angle:.1f}° within its pictures); only static cameras are supported, "
-                "so leave it out with capture.yaml: train: [...]"
-            )
-    return [camera for camera, _ in kept.values()]
+        angle_deg = float(np.degrees(np.arctan2(np.linalg.norm(skew) / 2, (np.trace(turned) - 1) / 2)))
+        if np.linalg.norm(centre - first_centre) > still or angle_deg > _STILL_DEG:
+            moving[camera.name] = max(moving.get(camera.name, 0.0), angle_deg)
+    notes += [
+        f"camera {name} moves (by {angle:.1f}° within its pictures) and was left out: only static cameras are supported"
+        for name, angle in moving.items()
+    ]
+    if moving and len(moving) == len(kept):
+        raise UserError(
+            f"all cameras of the calibration move, by up to {max(moving.values()):.1f}°; only static ones can be used"
+        )
+    return tuple(camera for camera, _ in kept.values() if camera.name not in moving)

@@ -50,7 +50,12 @@ def read(files: list[Path]) -> Reading:
                 )
             )
     kind = "MonoFusion Dy_train_meta.json" if "hw" in content else "Dynamic 3D Gaussians train_meta.json"
-    return Reading(kind, tuple(merged_static(cameras, 0.01, 1.0)), "unknown", tuple(notes), named="fn" in content)
+    static, named = merged_static(cameras, notes), "fn" in content
+    if not named and len(static) < len({camera.name for camera in cameras}):
+        raise UserError(
+            f"{path}: {notes[-1]}; write the pictures' names, fn, there too, by which films are paired then"
+        )
+    return Reading(kind, static, "unknown", tuple(notes), named=named)
 
 
 def _inverted(content: Mapping, name: str) -> tuple[bool, list[str]]:

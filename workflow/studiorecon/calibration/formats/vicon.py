@@ -45,7 +45,8 @@ def read(files: list[Path]) -> Reading:
         if not frames:
             notes.append(f"camera {name} of {path.name} is not calibrated (it has no KeyFrame) and was left out")
         cameras += [_camera(name, element, frame, f"camera {name} in {path}", notes) for frame in frames]
-    return Reading("Vicon xcp", tuple(merged_static(cameras, 0.01, 1.0)), "mm", tuple(dict.fromkeys(notes)))
+    static = merged_static(cameras, notes)
+    return Reading("Vicon xcp", static, "mm", tuple(dict.fromkeys(notes)))
 
 
 def _camera(name: str, element: Element, frame: Element, where: str, notes: list[str]) -> RawCamera:
