@@ -147,7 +147,7 @@ function makePainter(canvas, scene) {
     },
     // A view: {wh, focal, principal, rotation (row-major camera_from_world), offset, eye}; exposure: three factors.
     // Draws the part of the order from `from` to `to`; the picture is shown once its last part is drawn.
-    draw(view, { exposure = [1, 1, 1], tinted = false, hurried = false, scale = 1, from = 0, to = count } = {}) {
+    draw(view, { exposure = [1, 1, 1], tinted = false, hurried = false, scale = 1, from = 0, to = count, surface } = {}) {
       const [width, height] = view.wh, small = view.wh.map((side) => Math.max(1, Math.round(side * scale)));
       const { at, made } = splats, by = [small[0] / width, small[1] / height], { drawing } = scene;
       const focal = view.focal.map((f, k) => f * by[k]), principal = view.principal.map((c, k) => c * by[k]);
@@ -173,19 +173,21 @@ function makePainter(canvas, scene) {
         gl.drawElements(gl.TRIANGLES, 6 * (Math.min(to, count) - from), gl.UNSIGNED_INT, 24 * from);
       }
       if (fence) gl.deleteSync(fence);
-      if (to >= count) this.show(hurried ? small : view.wh, exposure, tinted, hurried);
+      if (to >= count) this.show(hurried ? small : view.wh, exposure, tinted, hurried, surface);
       fence = gl.fenceSync(gl.SYNC_GPU_COMMANDS_COMPLETE, 0);
       gl.flush();
     },
-    show([width, height], exposure, tinted, hurried) {
-      if (canvas.width !== width || canvas.height !== height) [canvas.width, canvas.height] = [width, height];
+    // On the canvas, or on a part of another surface, such as a headset's.
+    show([width, height], exposure, tinted, hurried, { buffer = null, x = 0, y = 0 } = {}) {
+      if (!buffer && (canvas.width !== width || canvas.height !== height)) [canvas.width, canvas.height] = [width, height];
       gl.disable(gl.BLEND);
-      gl.bindFramebuffer(gl.FRAMEBUFFER, null);
-      gl.viewport(0, 0, width, height);
+      gl.bindFramebuffer(gl.FRAMEBUFFER, buffer);
+      gl.viewport(x, y, width, height);
       gl.useProgram(show.made);
       gl.uniform1i(show.at.picture, layers[0].unit);
       gl.uniform1i(show.at.shares, tinted ? layers[1].unit : layers[0].unit);
       gl.uniform2f(show.at.size, width, height);
+      gl.uniform2f(show.at.corner, x, y);
       gl.uniform3fv(show.at.exposure, exposure);
       gl.uniform1i(show.at.tinted, tinted);
       gl.uniform1i(show.at.hurried, hurried);

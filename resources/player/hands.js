@@ -79,7 +79,8 @@ function listen(player) {
 async function start() {
   const films = "this is a picture of it; the films in the same folder show it";
   if (!window.DecompressionStream) return say(`This browser is too old to unpack the scene; ${films}.`, 0);
-  const bytes = await bytesOf(at("bytes").textContent), scene = readScene(JSON.parse(at("scene").textContent), bytes);
+  const held = await sourcePage(), [bytes, about] = ["bytes", "scene"].map((id) => held.getElementById(id).textContent);
+  const scene = readScene(JSON.parse(about), await bytesOf(bytes));
   const painter = makePainter(at("picture"), scene);
   if (!painter) return say(`This browser has no WebGL2, so you cannot move through the scene; ${films}.`, 0);
   at("picture").addEventListener("webglcontextlost", () => {
@@ -91,6 +92,8 @@ async function start() {
   makePanel(player);
   listen(player);
   player.begin();
+  answerParent(player);
+  offerHeadset(player);
   at("bytes").remove();
   if (at("stage").clientWidth < 640) at("panel").querySelector("details").open = false;
   say(painter.software ? SLOW : "", 8);

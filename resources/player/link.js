@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
 // The view as text: in the page's address, and as an entry of render.shots.
 
-function writeLink({ scene, eye, state }) {
+function linkOf({ scene, eye, state }) {
   const three = (values) => values.map((value) => value.toFixed(3)).join(","), link = new URLSearchParams();
   if (eye.mode === "camera") link.set("camera", scene.cameras[eye.camera].name);
   else if (eye.mode === "film") {
@@ -16,12 +16,17 @@ function writeLink({ scene, eye, state }) {
   const hidden = scene.sets.filter((set) => !set.shown).map((set) => set.name);
   if (hidden.length) link.set("hide", hidden);
   for (const name of ["tinted", "skeletons"]) if (state[name]) link.set(name, 1);
-  if (location.hash.slice(1) !== `${link}`) history.replaceState(null, "", `#${link}`);
+  return link;
+}
+
+function writeLink(player) {
+  const link = `${linkOf(player)}`;
+  if (location.hash.slice(1) !== link) history.replaceState(null, "", `#${link}`);
 }
 
 // Applies an address; entries for people or cameras that do not exist are ignored.
-function readLink({ scene, eye, state, last, changed }) {
-  const link = new URLSearchParams(location.hash.slice(1)), number = (name) => (link.has(name) ? +link.get(name) : NaN);
+function applyLink({ scene, eye, state, last, changed }, link) {
+  const number = (name) => (link.has(name) ? +link.get(name) : NaN);
   const index = (list, name) => list.findIndex((one) => one.name === link.get(name));
   const camera = index(scene.cameras, "camera"), film = index(scene.films, "film"), frame = number("frame");
   const [place, target] = ["eye", "target"].map((name) => (link.get(name) || "").split(",").map(Number));
@@ -37,6 +42,8 @@ function readLink({ scene, eye, state, last, changed }) {
   for (const name of ["tinted", "skeletons"]) state[name] = link.has(name);
   changed();
 }
+
+const readLink = (player) => applyLink(player, new URLSearchParams(location.hash.slice(1)));
 
 // The current view as a key of a path. Between keys time runs at its own speed; if it is the same, the camera takes a
 // second.

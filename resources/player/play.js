@@ -210,7 +210,10 @@ function makePlayer(scene, painter) {
   }
 
   const player = {
-    scene, painter, eye, state, flying, keys: [], last, changed, picture, pixelOf, seek, end, place, shown: () => {},
+    scene, painter, eye, state, flying, keys: [], last, changed, picture, pixelOf, seek, end, place, advance, settle, order,
+    shown: () => {},
+    // While something else draws the scene, this page does not.
+    hold: (on) => { still = on; changed(); },
     play: () => { state.playing = !state.playing && end() > 0; changed(); },
     reset: () => { eye.reset(); changed(); },
     full: () => (document.fullscreenElement ? document.exitFullscreen() : document.documentElement.requestFullscreen()),

@@ -149,12 +149,12 @@ void main() { gl_Position = vec4(vec2(gl_VertexID & 1, gl_VertexID >> 1) * 4.0 -
 const SHOW_FRAGMENT = `#version 300 es
 precision highp float;
 uniform sampler2D picture, shares;
-uniform vec2 size;
+uniform vec2 size, corner;
 uniform vec3 exposure;
 uniform bool tinted, hurried;
 out vec4 pixel;
 void main() {
-  vec2 at = vec2(gl_FragCoord.x, size.y - gl_FragCoord.y) / size;
+  vec2 own = gl_FragCoord.xy - corner, at = vec2(own.x, size.y - own.y) / size;
   vec4 seen = textureLod(picture, at, 0.0);
   // Where Gaussians were left out, what lies around them shows through, from ever further away.
   for (float level = 2.0; hurried && level < 8.0; level++) seen += (1.0 - seen.a) * textureLod(picture, at, level);

@@ -32,7 +32,7 @@ if TYPE_CHECKING:
     from jaxtyping import Integer
 
 # In the order of loading: each uses only those before it.
-SCRIPTS = ("scene", "sort", "shaders", "draw", "camera", "play", "link", "panel", "hands")
+SCRIPTS = ("scene", "sort", "shaders", "draw", "camera", "play", "link", "panel", "embed", "xr", "hands")
 # Largest width of camera films shown over the scene, most frames and bytes; a longer film is replaced by this many
 # photos.
 FILM_WIDTH, FILM_FRAMES, FILM_BYTES, PHOTOS = 640, 600, 2_500_000, 8
