@@ -353,7 +353,7 @@ def test_glb_replays_the_surface(tmp_path: Path, person: Person, body: BodyModel
 
 def test_a_fit_of_another_body_is_not_delivered(tmp_path: Path, person: Person, body: BodyModel) -> None:
     written = write_motion(tmp_path, person, body)
-    endings = ["amass.npz", "bvh", "c3d", "glb", "openpose3d.json", "trc"]
+    endings = ["amass.npz", "angles.tsv", "bvh", "c3d", "glb", "mot", "openpose3d.json", "trc"]
     assert sorted(p.name for p in written) == [f"p2.{ending}" for ending in endings]
     assert all(p.stat().st_size > 1000 for p in written)
     other = Person(**{**vars(person), "body": "smpl_neutral"})

@@ -89,6 +89,31 @@ def test_a_film_that_was_made_elsewhere_stands_as_it_is(
     assert options["film"].read_bytes()[4:8] == b"ftyp"
 
 
+def test_segments_made_beside_one_another_are_the_bytes_of_one_job(
+    scene: Path, settings: enhance_shot.Settings, tmp_path: Path
+) -> None:
+    force = {"enhancement": "on", "injection": "on"}
+    loose = replace(settings.injection, error_threshold=255.0, moving_strength=0.3, history=3)
+    settings = replace(settings, force=force, strength=0.5, injection=loose)
+    options = enhance_options(scene, "heldout", ring([0, 90, 180, 270], "cam"))
+
+    def made(name: str, **more: object) -> dict[str, Path]:
+        files = {"video": tmp_path / f"{name}.mkv", "film": tmp_path / f"{name}.mp4"}
+        files["decisions"] = tmp_path / f"{name}.json"
+        call(enhance_shot.run, settings, **{**options, **files, **more})
+        return files
+
+    whole = made("whole")
+    assert (read_stack(whole["video"]) != read_stack(options["render"])).any()
+    names = list(dict.fromkeys(step.segment for step in read_path(scene / "render/heldout.json")[0]))
+    segments = [made(name, only=name) for name in names]
+    assert [len(read_stack(files["video"])) for files in segments] == [FRAMES, FRAMES]
+    before = {"made": [files["video"] for files in segments], "decided_before": [segments[0]["decisions"]]}
+    joined = made("joined", **before)
+    for kind, file in whole.items():
+        assert file.read_bytes() == joined[kind].read_bytes(), kind
+
+
 @pytest.mark.parametrize(
     ("change", "words"),
     [

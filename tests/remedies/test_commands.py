@@ -9,9 +9,10 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from starlette.responses import PlainTextResponse
 from studiorecon import __main__ as steps
 from studiorecon.cli import command
-from studiorecon.cli.viewer import Viewer
+from studiorecon.cli.takes import open_takes
 from studiorecon.configuration import settings as configuration
 from studiorecon.configuration.overlays import check_overlay
 from studiorecon.placement.camera_placement import lens_from_fov, place_cameras
@@ -26,6 +27,7 @@ from studiorecon.splatting.device import resolve
 from studiorecon.studio.capture import _clear
 from studiorecon.studio.description import read_description
 from studiorecon.sweep.table import Row, read_rows, row_configuration
+from studiorecon.window.serving import LocalServer
 
 from tests.made.remedies import follow
 from tests.package.test_settings import GOOD, Outer
@@ -95,15 +97,30 @@ def scene(name: str) -> Call:
     return call
 
 
+def takes(*names: str) -> Call:
+    def call(folder: Path) -> Any:
+        for name in names:
+            (folder / name).mkdir(parents=True)
+        return open_takes([folder / name for name in names])
+
+    return call
+
+
 def plan_words(**given: Any) -> Call:
     usual = {"folder": None, "room": None, "cameras": "2", "hfov": ["65"], "resolution": "640x360"}
     return lambda f: command._plan(argparse.Namespace(**usual, **given, picture=str(f / "plan.svg")))
 
 
 def taken(free: bool) -> Call:
-    def call(folder: Path) -> None:
-        with Viewer(folder, 0) as first, Viewer(folder, 0 if free else first.server_port):
-            pass
+    def call(_: Path) -> None:
+        first = LocalServer(PlainTextResponse("x"), 0)
+        second = None
+        try:
+            first._socket.listen()
+            second = LocalServer(PlainTextResponse("x"), 0 if free else first.port)
+        finally:
+            for server in filter(None, (first, second)):
+                server._socket.close()
 
     return call
 
@@ -128,13 +145,15 @@ ROWS: list[tuple[Any, ...]] = [
         folder=None, room="2x2x2", cameras="2", hfov=["65"], resolution="640x360", picture=str(f / "plan.svg")))),
     (f"{COMMAND} _capture 1", lambda f: command._capture(f / "gone"), command._capture),
     (f"{COMMAND} _capture 2", written("", "a.mp4", command._capture), command._capture),
+    ("cli/takes.py open_takes 1", lambda f: open_takes([f / "gone"]), lambda f: open_takes([f])),
+    ("cli/takes.py open_takes 2", takes("one/a", "two/a"), takes("one/a", "two/b"), takes("one/a")),
     (f"{COMMAND} preset_file", lambda _: command.preset_file("loook"), lambda _: command.preset_file("look")),
     (f"{COMMAND} preset_file", lambda _: command.preset_file("xyz"),
      written("", "a.yaml", lambda p: command.preset_file(str(p)))),
     (f"{COMMAND} finished_scene", scene("gone"), scene("take")),
     (f"{COMMAND} _settings", lambda _: command._settings(argparse.Namespace(name="people.fits")),
      lambda _: command._settings(argparse.Namespace(name="people.fit"))),
-    ("cli/viewer.py Viewer.__init__", taken(free=False), taken(free=True)),
+    ("window/serving.py LocalServer.__init__", taken(free=False), taken(free=True)),
     ("configuration/overlays.py check_overlay", overlay("- capture"), overlay("capture: {width: 960}")),
     ("__main__.py _section 1", lambda f: steps._section(str(f / "gone.yaml"), "people.fit"),
      section("people: {fit: {a: 1}}")),

@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import shutil
 from pathlib import Path
 
 import yaml
@@ -49,6 +50,19 @@ def test_an_enhancer_that_is_a_network_repairs_views_of_the_half_trained_room(ho
     sections = {"enhance": {"enhancer": "residual"}, "background": {"refinement": {"views": 12}}}
     refused = on(house, dataset).snakemake("--dry-run", "--configfile", house.overlay(**sections), check=False)
     assert "enhance.enhancer is residual: set that to a network (difix, fixer), or the views to 0" in refused.stdout
+
+
+def test_a_network_enhances_every_held_out_camera_in_a_job_of_its_own(
+    house: House, dataset: Path, tmp_path: Path
+) -> None:
+    taken = shutil.copytree(dataset, tmp_path / "two")
+    for camera in ("door", "window"):
+        (taken / "videos" / f"{camera}.mp4").touch()
+    (taken / "capture.yaml").write_text("held_out: [door, window]\n")
+    for enhancer, segments in (("difix", 2), ("residual", 0)):
+        settings = house.overlay(enhance={"enhancer": enhancer}, device="cuda")
+        text = on(house, taken).snakemake("--dry-run", "--configfile", settings).stdout
+        assert text.count("Enhance camera") == segments
 
 
 def test_a_laptops_networks_are_one_preset_and_need_no_gpu() -> None:

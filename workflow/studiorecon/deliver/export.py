@@ -16,7 +16,7 @@ from studiorecon.body.model import BodyModel
 from studiorecon.body.person_files import read_person
 from studiorecon.camera_files.colmap import read_model, read_points
 from studiorecon.configuration.setting import setting
-from studiorecon.deliver import camera_files, keypoint_files, motion_files
+from studiorecon.deliver import camera_files, joint_angles, keypoint_files, motion_files
 from studiorecon.deliver.body_colours import BodyColours, body_colours
 from studiorecon.deliver.gltf import write_glb
 from studiorecon.errors import UserError
@@ -87,7 +87,10 @@ _PERSONS = (
     "24-joint order, trans = pelvis, which frames\n"
     "                  were measured and which have the person at all, deviations), .amass.npz has SMPL's trans;\n"
     "                  .bvh (y up, {bvh_unit}; goes on while the person is away), .trc (OpenSim markers, y up,\n"
-    "                  metres), .c3d (the same markers, z up, millimetres), .openpose3d.json (BODY_25, z up) and .glb "
+    "                  metres), .c3d (the same markers, z up, millimetres), .mot (joint angles for OpenSim's "
+    "full-body model by\n                  Rajagopal), .angles.tsv (joint angles as a table; degrees, 0 in the "
+    "anatomical position: flexion,\n                  then adduction, then internal rotation; left mirrored), "
+    ".openpose3d.json (BODY_25, z up) and .glb "
     "(coloured mesh, skeleton\n                  and animation, y up) are for other programs\n"
 )
 
@@ -164,7 +167,8 @@ def write_motion(
             f"{body.identity} was given; use the same body file"
         )
     written = []
-    for ending, write in (motion_files.WRITERS | {"bvh": partial(motion_files.bvh, unit=bvh_unit)}).items():
+    writers = motion_files.WRITERS | joint_angles.WRITERS | {"bvh": partial(motion_files.bvh, unit=bvh_unit)}
+    for ending, write in writers.items():
         written += write(folder / f"{person.name}.{ending}", person, body)
     written.append(folder / f"{person.name}.glb")
     write_glb(written[-1], person, body, colours)

@@ -25,7 +25,7 @@ from studiorecon.progress import progress, say, warn
 from studiorecon.recursive.flows import load_flow
 from studiorecon.recursive.injection import Injection
 from studiorecon.recursive.sequence import adapt_injection, enhance_sequence, is_still
-from studiorecon.scene.decisions import Decision, apply_forced, write_decisions
+from studiorecon.scene.decisions import Decision, apply_forced, read_decisions, write_decisions
 from studiorecon.scene.effects import ENHANCEMENT, FILMED, INJECTION, certain_decision, force, thresholds
 from studiorecon.scene.path import PathStep, read_path
 from studiorecon.signature import Place, Written
@@ -52,25 +52,34 @@ class Settings(Enhancing, Carrying, Injecting):
 
 @dataclass(frozen=True)
 class RenderedFilm:
-    """A rendered film; depth is unknown where ``truth`` says that pixels were never photographed."""
+    """A rendered film, or a part of it from picture ``first`` on; depth is unknown where ``truth`` says that pixels
+    were never photographed."""
 
     steps: Sequence[PathStep]
     fps: float
     render: Path
     depth: Path
     truth: Path | None = None
+    first: int = 0
 
     def pictures(self) -> Iterator[Integer[np.ndarray, "h w 3"]]:
         """Pictures, in order."""
-        return read_frames(self.render, 0, len(self.steps))
+        return self._read(self.render)
 
     def depths_mm(self) -> Iterator[Integer[np.ndarray, "h w"]]:
         """Uint16 millimetres, in order; 0 where unknown."""
-        depths = read_frames(self.depth, 0, len(self.steps))
+        depths = self._read(self.depth)
         if self.truth is None:
             return depths
-        levels = read_frames(self.truth, 0, len(self.steps))
-        return (np.where(level > 0, depth, 0) for depth, level in zip(depths, levels, strict=True))
+        return (np.where(level > 0, depth, 0) for depth, level in zip(depths, self._read(self.truth), strict=True))
+
+    def segment(self, name: str) -> RenderedFilm:
+        """One segment, whose pictures follow one another."""
+        own = [k for k, step in enumerate(self.steps) if step.segment == name]
+        return replace(self, steps=[self.steps[k] for k in own], first=own[0])
+
+    def _read(self, film: Path) -> Iterator[np.ndarray]:
+        return read_frames(film, self.first, self.first + len(self.steps))
 
 
 @dataclass(frozen=True)
@@ -99,19 +108,23 @@ def run(
     decisions: Written,
     edited: list[Path] | None = None,
     made: list[Path] | None = None,
+    decided_before: list[Path] | None = None,
+    only: str = "",
     weights: Place = Path("resources/weights"),
     device: str = "cpu",
 ) -> None:
-    """Enhance one shot; without ``train`` files among the ``photos`` the film stays as rendered.
+    """Enhance one shot, or ``only`` one segment of it; without ``train`` files the film stays as rendered.
 
-    Decisions and reasons are written to ``decisions``. An ``edited`` picture, if given, is a network's reference
-    instead of the photos (paper: one edited reference). A film ``made`` of this shot by another tool stays as it is.
+    Decisions, which are about the whole film, and reasons are written to ``decisions``. An ``edited`` picture, if
+    given, is a network's reference instead of the photos (paper: one edited reference). Films ``made`` of this shot
+    before, by another tool or as its segments, follow one another as they are, with what was ``decided_before``.
     """
     source = drawn.read()
     decided: list[Decision] = []
     if made:
-        say(f"shot {shot}: the pictures come from {made[0]}")
-        outputs = read_external_film(made[0], source.render, len(source.steps))
+        say(f"shot {shot}: the pictures come from {', '.join(map(str, made))}")
+        outputs = read_made_films(made, source.render, len(source.steps))
+        decided = list(read_decisions(decided_before[0]).values()) if decided_before else []
     elif not photos.train:
         say(f"shot {shot}: the film is the render; enhance.enhancer is none and nothing is injected")
         left_out = [certain_decision(ENHANCEMENT, False, "enhance.enhancer is none")]
@@ -119,14 +132,14 @@ def run(
         outputs, decided = source.pictures(), apply_forced(left_out, settings.force)
     else:
         instead = to_bytes(read_plate(edited[0])[0]) if edited else None
-        outputs, decided = enhance_film(settings, shot, source, photos.read(), instead, weights, device)
+        outputs, decided = enhance_film(settings, shot, source, photos.read(), instead, weights, device, only)
     write_decisions(decisions, decided)
     writers = (
         lambda frames: write_lossless(video, frames, source.fps),
         lambda frames: write_watchable(film, frames, source.fps),
     )
     with parallel_writers(writers) as put:
-        for output in progress(outputs, f"pictures of {shot}", total=len(source.steps)):
+        for output in progress(outputs, f"pictures of {shot} {only}".rstrip(), total=len(source.steps)):
             put(output, output)
 
 
@@ -138,9 +151,10 @@ def enhance_film(
     instead: Integer[np.ndarray, "h w 3"] | None,
     weights: Path,
     device: str,
+    only: str = "",
 ) -> tuple[Iterator[Integer[np.ndarray, "h w 3"]], list[Decision]]:
-    """Uint8 pictures of the film, and the decisions about it; a network gets ``instead`` as reference, or the
-    photos."""
+    """Uint8 pictures of the film, or of its segment ``only``, and the decisions about the whole film; a network gets
+    ``instead`` as reference, or the photos."""
     enhancer, enhancement = choose_enhancer(settings, training, weights, device)
     say(f"shot {shot}: enhancement is {enhancement.verdict}; {enhancement.reason}")
 
@@ -149,6 +163,7 @@ def enhance_film(
 
     search = load_flow(settings.flow, settings.flow_preset, weights, device)
     injection, called = choose_injection(settings, drawn, reference, enhancer, search)
+    drawn = drawn.segment(only) if only else drawn
     say(f"shot {shot}: injection is {called.verdict}; {called.reason}")
     if isinstance(enhancer, Unchanged) and not injection.history:
         say(f"shot {shot}: the film is the render")
@@ -218,20 +233,23 @@ def _of(verdicts: Mapping[str, str], effect: str) -> dict[str, str]:
     return {effect: verdicts[effect]} if effect in verdicts else {}
 
 
-def read_external_film(film: Path, render: Path, count: int) -> Iterator[Integer[np.ndarray, "h w 3"]]:
-    """Pictures of a film that another tool made from a shot's render; UserError for another number or size."""
+def read_made_films(films: Sequence[Path], render: Path, count: int) -> Iterator[Integer[np.ndarray, "h w 3"]]:
+    """Pictures of films that were made of a shot's render, one after the other; UserError for another number or
+    size."""
     (drawn,) = read_frames(render, 0, 1)
-    pictures = read_frames(film)
-    number = -1
-    for number, picture in enumerate(pictures):
-        if picture.shape != drawn.shape:
-            raise UserError(
-                f"{film} is {picture.shape[1]}×{picture.shape[0]} and {render} {drawn.shape[1]}×{drawn.shape[0]}; "
-                "enhance the current render"
-            )
-        if number < count:
-            yield picture
-    if number + 1 != count:
+    number = 0
+    for film in films:
+        for picture in read_frames(film):
+            if picture.shape != drawn.shape:
+                raise UserError(
+                    f"{film} is {picture.shape[1]}×{picture.shape[0]} and {render} {drawn.shape[1]}×{drawn.shape[0]}; "
+                    "enhance the current render"
+                )
+            number += 1
+            if number <= count:
+                yield picture
+    if number != count:
         raise UserError(
-            f"{film} has {number + 1} pictures and {render} has {count}; enhance every picture of the shot as it is now"
+            f"{films[-1]} has {number} pictures and {render} has {count}; enhance every picture of the shot as it is "
+            "now"
         )

@@ -235,6 +235,21 @@ class Files(UserInputs):
             return []
         return [f"results/{wildcards.scene}/render/train.{kind}" for kind in ("mkv", "json", "depth.mkv")]
 
+    def enhanced_segments(self, wildcards: Any, kind: str = "mkv") -> list[str]:
+        """Segments of a film that a network enhances, each a job; none for films of one segment, and for a segment."""
+        cameras = self.held_out(wildcards) if wildcards.shot == "heldout" and self.plan.networks.enhance else []
+        if len(cameras) < 2 or hasattr(wildcards, "camera"):
+            return []
+        return [f"results/{wildcards.scene}/enhance/{wildcards.shot}/{camera}.{kind}" for camera in cameras]
+
+    def made_films(self, wildcards: Any) -> list[str]:
+        """The film of a shot that the user made with another tool, or its segments."""
+        return self.external_film(wildcards) or self.enhanced_segments(wildcards)
+
+    def segment_decisions(self, wildcards: Any) -> list[str]:
+        """The decisions about a film as its segments were made by them, all the same."""
+        return [] if self.external_film(wildcards) else self.enhanced_segments(wildcards, "decisions.json")
+
     def film_depth(self, wildcards: Any) -> list[str]:
         """Rendered depth of the held-out cameras' film, where no exact truth says what is seen."""
         films = [] if self.truth(wildcards) else self.heldout_film(wildcards)
