@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Bake ``resources/detector/*.onnx`` from BlazePose's TFLite files.
+"""Bake ``resources/detector/*.onnx`` from the TFLite files of BlazePose and MediaPipe Hands.
 
     python resources/bake_detector.py pose_landmark_heavy.tflite pose_landmark_heavy.onnx [OLDER.onnx]
 
@@ -22,11 +22,17 @@ import tf2onnx
 OPSET = 17
 
 
-def original(file: Path, picture: np.ndarray) -> list[np.ndarray]:
-    """Outputs on ``picture`` by TFLite's interpreter."""
+def opened(file: Path) -> tf.lite.Interpreter:
+    """TFLite's interpreter of a file, without optimised kernels."""
     plain = tf.lite.experimental.OpResolverType.BUILTIN_WITHOUT_DEFAULT_DELEGATES
     network = tf.lite.Interpreter(str(file), experimental_op_resolver_type=plain)
     network.allocate_tensors()
+    return network
+
+
+def original(file: Path, picture: np.ndarray) -> list[np.ndarray]:
+    """Outputs on ``picture`` by TFLite's interpreter."""
+    network = opened(file)
     network.set_tensor(network.get_input_details()[0]["index"], picture)
     network.invoke()
     return [network.get_tensor(out["index"]).copy() for out in network.get_output_details()]
@@ -71,7 +77,7 @@ def compared(name: str, ours: list[np.ndarray], theirs: list[np.ndarray]) -> Non
 
 def main(source: Path, target: Path, older: Path | None = None) -> None:
     """Convert, halve, write and compare."""
-    picture = np.random.default_rng(0).random((1, 256, 256, 3)).astype(np.float32)
+    picture = np.random.default_rng(0).random(opened(source).get_input_details()[0]["shape"]).astype(np.float32)
     expected = original(source, picture)
     model, _ = tf2onnx.convert.from_tflite(str(source), opset=OPSET)
     onnx.save(halved(model), str(target))

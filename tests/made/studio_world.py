@@ -32,6 +32,7 @@ NOISE_LEVELS, KEYPOINT_NOISE = 1.0, 2.0 / 1280
 PLANTED: Mapping[str, dict] = {
     "moving_cameras": {"shift_px": 0.8},
     "people": {"people": 0},
+    "hands": {"film_px": 10.0},
     "exposure": {"gain": 1.03},
     "changing_light": {"light": 0.06},
     "defocus": {"edges": 0.12, "blur_px": 1.2},
@@ -65,6 +66,7 @@ class Plan:
     ball_px: float = 0.0
     edges: float = 0.0
     blur_px: float = 0.0
+    film_px: float = 1.0
     known_depth: bool = True
     texture: float = 1.0
 
@@ -178,7 +180,7 @@ def scene(seed: int, **planted: object) -> SurveyInput:
         views.append(ExposureView(camera, noisy, known, depth.astype(np.float32)))
         films.append(_film(plan, seed, camera, view, rng, (points, plate) if camera.wh == WH else None))
     people = [f"p{i}" for i in range(plan.people)]
-    return SurveyInput(cameras, people, views, films, tracks, 0.0, FPS)
+    return SurveyInput(cameras, people, views, films, tracks, 0.0, FPS, [plan.film_px] * len(cameras))
 
 
 def _empty(plan: Plan, seed: int, camera: Camera, view: int, points: np.ndarray) -> np.ndarray:

@@ -28,8 +28,8 @@ BESIDE = {"closed_path": {"view_synthesis": "on"}}
 PEOPLE, DECISIONS = "results/tiny/people/people.tsv", "results/tiny/survey/decisions.json"
 
 
-# Effects that act within the survey alone.
-WITHIN = {"moving_cameras"}
+# Effects that act within the survey alone, or before it.
+WITHIN = {"moving_cameras", "hands"}
 
 Jobs = dict[tuple[str, str], str]
 

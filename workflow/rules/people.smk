@@ -121,6 +121,7 @@ if PLAN.person_sources.detector_cameras:
             source=files.footage,
             networks=files.detector,
             second=files.second_network,
+            hand_network=files.hand_network,
             model=MODEL,
             manifest="results/{scene}/capture/manifest.json",
             clocks="results/{scene}/clocks/clocks.json",

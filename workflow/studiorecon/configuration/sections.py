@@ -65,6 +65,7 @@ SECTIONS: tuple[Section, ...] = (
         "Identities, and each person's body over time.",
         (
             "configuration.plan_settings:People",
+            "people.fit_settings:HandSettings",
             "people.fit_settings:TriangulationSettings",
             "people.lift:Settings",
             "people.associate:Settings",

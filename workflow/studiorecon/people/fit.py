@@ -26,7 +26,7 @@ from studiorecon.configuration.setting import setting
 from studiorecon.errors import UserError
 from studiorecon.geometry import rotations
 from studiorecon.keypoints.resampling import correct_rolling_shutter
-from studiorecon.people.fit_settings import SmoothingSettings, TriangulationSettings
+from studiorecon.people.fit_settings import HandSettings, SmoothingSettings, TriangulationSettings
 from studiorecon.people.fitting.legs import bend_hidden_legs
 from studiorecon.people.fitting.limbs import body_scale, limb_ratio
 from studiorecon.people.fitting.points import Points, detector_offset_m, person_keypoints, triangulate_keypoints
@@ -120,7 +120,7 @@ class BodyFit:
 
 
 @dataclass(frozen=True)
-class Settings(TriangulationSettings, SmoothingSettings):
+class Settings(HandSettings, TriangulationSettings, SmoothingSettings):
     """How points are computed, fitted and smoothed."""
 
     fit: BodyFit = setting(BodyFit(), "Fit of the body to the triangulated keypoints.")

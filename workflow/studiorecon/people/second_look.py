@@ -9,7 +9,7 @@ alone cannot distinguish a hidden person from a missed one; several calibrated o
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -22,11 +22,13 @@ from studiorecon.camera_files.colmap import read_model
 from studiorecon.detector.blazepose import LAYOUT, MASK_PX, BlazePose, Landmarks
 from studiorecon.detector.crops import region_of_body
 from studiorecon.detector.frame_detection import detect_in_region
+from studiorecon.detector.hand_landmarks import HandLandmarks
 from studiorecon.detector.network_files import DetectorFiles
 from studiorecon.detector.tracking import keypoints_with_confidence
 from studiorecon.footage.frames import read_stills
-from studiorecon.footage.source import open_source
+from studiorecon.footage.source import FootageSource, open_source
 from studiorecon.geometry.lens import video_from_working, working_from_video
+from studiorecon.keypoints.hands import SIDES
 from studiorecon.keypoints.layouts import LAYOUTS
 from studiorecon.people.expected_keypoints import (
     BELIEVED,
@@ -38,9 +40,12 @@ from studiorecon.people.expected_keypoints import (
     project_expected,
     swap_left_right,
 )
-from studiorecon.people.fit_settings import TriangulationSettings
+from studiorecon.people.fit_settings import HandSettings, TriangulationSettings
+from studiorecon.people.hand_search import arms_in_view, find_hands, hands_of_rows, interpolate_hands
 from studiorecon.people.monocular_guess import is_left_right_swapped, project_guess
 from studiorecon.progress import progress, say
+from studiorecon.rig.body_points import person_tracks
+from studiorecon.rig.hand_sizes import hand_sizes_px, large_hands
 from studiorecon.scene.camera import Lens
 from studiorecon.scene.capture import Footage, read_manifest
 from studiorecon.scene.clocks import Clocks, read_clocks
@@ -50,12 +55,12 @@ from studiorecon.scene.raw_detections import read_raw_detections, write_raw_dete
 from studiorecon.signature import Written
 
 if TYPE_CHECKING:
-    from jaxtyping import Float, Integer, Num
+    from jaxtyping import Bool, Float, Integer, Num
 
 
 @dataclass(frozen=True)
-class Settings(TriangulationSettings):
-    """Limits of agreement between views."""
+class Settings(HandSettings, TriangulationSettings):
+    """Limits of agreement between views, and whether hands are searched for."""
 
 
 @dataclass(frozen=True)
@@ -127,16 +132,15 @@ class CameraPictures:
         """Working pixels converted to pixels of the footage."""
         return video_from_working(pixels, self.lens, self.footage.source_wh, np.array(self.footage.intrinsics))
 
+    def in_working(self, pixels: Num[np.ndarray, "K 2"]) -> tuple[Float[np.ndarray, "K 2"], Bool[np.ndarray, " K"]]:
+        """Pixels of the footage converted to working pixels, and where that is possible."""
+        return working_from_video(pixels, self.lens, self.footage.source_wh, np.array(self.footage.intrinsics))
+
     def working(self, seen: Landmarks) -> Float[np.ndarray, "K 3"]:
         """Working pixels and confidence of landmarks; NaN and 0 where there are none."""
         keypoints = keypoints_with_confidence(seen, self.footage.source_wh, self.worth)
         there = keypoints[:, 2] > 0
-        pixels, valid = working_from_video(
-            np.where(there[:, None], keypoints[:, :2], 1.0),
-            self.lens,
-            self.footage.source_wh,
-            np.array(self.footage.intrinsics),
-        )
+        pixels, valid = self.in_working(np.where(there[:, None], keypoints[:, :2], 1.0))
         there &= valid
         return np.column_stack([np.where(there[:, None], pixels, np.nan), np.where(there, keypoints[:, 2], 0.0)])
 
@@ -190,6 +194,37 @@ def improve_detections(
     return whole.only(np.argsort(whole.frame, kind="stable"))
 
 
+def with_hands(
+    network: HandLandmarks,
+    source: FootageSource,
+    view: CameraPictures,
+    own: Detections,
+    who: Mapping[tuple[str, int], str],
+    people: Sequence[ExpectedKeypoints],
+    large: Float[np.ndarray, "P T 2"],
+) -> Detections:
+    """``own`` with the hands that are searched for in the pictures of ``source``: those with a size in ``large``."""
+    names = [p.person for p in people]
+    person = np.array(
+        [names.index(p) if p in names else -1 for p in (who.get((own.camera, int(t)), "") for t in own.track)]
+    )
+    arms = arms_in_view(own, person, people, large, view.in_footage, view.clocks.fps)
+    frames = sorted({arm.frame for arm in arms})
+    wanted = [view.footage.used[frame] for frame in frames]
+    pictures = progress(read_stills(source, wanted), f"hands of {own.camera}", len(wanted))
+    found = find_hands(network, pictures, arms)
+    hands = hands_of_rows(found, len(own.frame), view.in_working)
+    for row, side in found:
+        now = people[person[row]].at(int(own.frame[row]))
+        if now is not None and view.clocks.late_frames(own.camera).any():
+            place = people[person[row]].at(int(own.frame[row]), view.late_frames(int(own.frame[row]), now))
+            wrist = LAYOUTS[own.layout].index(f"{SIDES[side]}_wrist")
+            hands[row, side, :, :2] += np.nan_to_num((now - place)[wrist])
+    whole = interpolate_hands(hands, own, person, view.clocks.fps)
+    say(f"camera {own.camera}: {len(found)} hands found at {len(arms)} ends of arms in {len(frames)} pictures")
+    return replace(own, hands=whole)
+
+
 @dataclass(frozen=True)
 class CameraFiles:
     """A camera's footage, and the files with its lens and clock."""
@@ -217,6 +252,7 @@ def run(
     footage: CameraFiles,
     before: FirstFiles,
     detector: DetectorFiles,
+    hand_network: list[Path],
     model: Path,
     body: Path,
     detections: Written,
@@ -224,12 +260,13 @@ def run(
     report: Written,
 ) -> None:
     """Write ``detections`` (the camera's, improved), ``seen`` (the detector's file and what was added) and ``report``
-    (JSON, how many)."""
+    (JSON, how many). ``hand_network``: the network for hands, none where they are off."""
     cameras, who = read_model(model.parent), read_identities(before.identities)
     given = [read_detections(path) for path in before.first]
     at = [c.name for c in cameras].index(camera)
     own, whole = given[at], read_raw_detections(before.found, masks=True)
-    filmed = read_manifest(footage.manifest).of(camera)
+    about_footage = read_manifest(footage.manifest)
+    filmed = about_footage.of(camera)
     view = CameraPictures(filmed, find_lens(footage.calibration, camera), detector.worth(), read_clocks(footage.clocks))
     names = sorted({p for p in who.values() if p})
     if len(cameras) > 2:
@@ -247,6 +284,14 @@ def run(
     pictures = progress(read_stills(source, wanted), f"frames of {camera}", len(wanted))
     looks = redetect(detector.placer(), pictures, plan, people, own, view)
     result = improve_detections(own, plan, looks, people, owners, len(whole.frame))
+    arms_px = hand_sizes_px(
+        person_tracks(given, who, names, filmed.frames, settings.triangulation.min_confidence),
+        cameras,
+        [about_footage.of(c.name).film_px for c in cameras],
+    )
+    large = large_hands(arms_px, settings.hands)[at]
+    if large.any():
+        result = with_hands(HandLandmarks(hand_network[0]), source, view, result, who, people, large)
     write_detections(detections, result)
     write_raw_detections(seen, whole.grown([view.raw(look) for look in looks]))
     counts = _counts(own, plan, looks, result)

@@ -13,6 +13,8 @@ from studiorecon.configuration.step_settings import find_section, select_setting
 def step_section(step: str, config: Mapping[str, Any]) -> dict[str, Any]:
     """The settings of a step's section, with the decisions of ``survey.force`` over them."""
     stage, values, forced = step.partition(".")[0], find_section(step, config), config["survey"]["force"]
+    if stage == "people" and "hands" in forced:
+        values["hands"] = forced["hands"]
     if stage == "humans" and "temporal_appearance" in forced:
         use = "always" if forced["temporal_appearance"] == "on" else "never"
         values["temporal"] = values["temporal"] | {"use": use}

@@ -14,6 +14,7 @@ from studiorecon.models.catalogue.preflight import staged_weights
 from studiorecon.models.catalogue.registry import MODELS, find_card
 from studiorecon.plan.decisions import Plan
 from studiorecon.plan.plan_checks import find_precomputed
+from studiorecon.plan.step_config import step_section
 from studiorecon.scene.dataset import colmap_files
 from studiorecon.scene.replacement_photos import is_photo, photos_of_strangers
 
@@ -52,6 +53,12 @@ class UserInputs:
     @cached_property
     def detector(self) -> list[str]:
         return [self.bundled(f"resources/detector/{name}") for name in self.plan.person_sources.detector_files]
+
+    @cached_property
+    def hand_network(self) -> list[str]:
+        """The network for hands, unless they are off."""
+        off = step_section("people.second_look", self.config)["hands"] == "off"
+        return [] if off else [self.bundled("resources/detector/hand_landmark_full.onnx")]
 
     def second_network(self, _: Any) -> list[str]:
         """The landmark network, if there is one: the user's own file, or the fetched and verified one."""

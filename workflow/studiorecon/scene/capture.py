@@ -71,6 +71,11 @@ class Footage:
         """The source frame of every working frame."""
         return self.source_frames or range(self.first_source_frame, self.first_source_frame + self.frames)
 
+    @property
+    def film_px(self) -> float:
+        """Pixels of the film per working pixel."""
+        return max(self.source_wh) / max(self.wh)
+
 
 @dataclass(frozen=True)
 class Manifest:

@@ -104,6 +104,7 @@ PAPER_CHOICES: Mapping[str, str] = {
     "temporal_appearance": "on",
     "enhancement": "on",
     "injection": "on",
+    "hands": "off",
     "exposure": "off",
     "changing_light": "off",
     "closed_path": "on",
@@ -172,6 +173,15 @@ INJECTION = Effect(
     threshold=0.2,
     paper="always",
     used_by="enhance.shot: measured on pairs of the film's pictures before the film",
+)
+HANDS = Effect(
+    name="hands",
+    statistic="length of hands in the second best view, reached in a tenth of the moments",
+    unit="px",
+    threshold=40.0,
+    paper="none: bodies have no fingers",
+    tunable=False,
+    used_by="people.second_look, people.fit: find the fingers of hands that are so large, and fit them",
 )
 # Measured while the scene is trained, and by every film.
 TRAINED, FILMED = (TEMPORAL_APPEARANCE,), (ENHANCEMENT, INJECTION)

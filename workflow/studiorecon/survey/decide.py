@@ -70,7 +70,8 @@ def run(
         for video, camera, own in zip(videos, cameras, own_points)
     ]
     followed = person_tracks(found, whose, names or [], capture.frames, settings.min_confidence)
-    material = SurveyInput(cameras, names, views, films, followed, read_room(room_box).standing_m, capture.fps)
+    film_px = [capture.of(c.name).film_px for c in cameras]
+    material = SurveyInput(cameras, names, views, films, followed, read_room(room_box).standing_m, capture.fps, film_px)
     by_file = {path.name: path for path in artefacts}
     evidence = Evidence(material, settings)
     early = {d.effect: d for d in decide_effects(evidence, settings.thresholds, settings.force)}

@@ -70,6 +70,7 @@ class SurveyInput:
         films: every camera's pictures over time.
         tracks: people's keypoints.
         floor_m: height of the floor.
+        film_px: pixels of the film per pixel of each camera; empty = 1.
     """
 
     cameras: Sequence[Camera]
@@ -79,6 +80,7 @@ class SurveyInput:
     tracks: Tracks
     floor_m: float
     fps: float
+    film_px: Sequence[float] = ()
 
 
 @dataclass(frozen=True)

@@ -24,6 +24,7 @@ from studiorecon.survey.effects.closed_path import EFFECT as CLOSED_PATH
 from studiorecon.survey.effects.defocus import EFFECT as DEFOCUS
 from studiorecon.survey.effects.dynamic_objects import EFFECT as DYNAMIC_OBJECTS
 from studiorecon.survey.effects.exposure import EFFECT as EXPOSURE
+from studiorecon.survey.effects.hands import EFFECT as HANDS
 from studiorecon.survey.effects.moving_cameras import EFFECT as MOVING_CAMERAS
 from studiorecon.survey.effects.moving_shadows import EFFECT as MOVING_SHADOWS
 from studiorecon.survey.effects.people import EFFECT as PEOPLE
@@ -35,6 +36,7 @@ from studiorecon.survey.effects.view_synthesis import EFFECT as VIEW_SYNTHESIS
 EFFECTS: tuple[Effect, ...] = (
     MOVING_CAMERAS,
     PEOPLE,
+    HANDS,
     EXPOSURE,
     CHANGING_LIGHT,
     DEFOCUS,

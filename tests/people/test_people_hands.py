@@ -1,0 +1,178 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Hands at the ends of arms: which are searched for, what becomes of them, and left and right among the cameras."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from studiorecon.detector.crops import Region
+from studiorecon.detector.hand_landmarks import Hand
+from studiorecon.keypoints.layouts import LAYOUTS
+from studiorecon.people.expected_keypoints import ExpectedKeypoints
+from studiorecon.people.fitting.hands import mend_sides, person_hands
+from studiorecon.people.hand_search import Arm, arms_in_view, find_hands, hands_of_rows, interpolate_hands
+from studiorecon.rig.body_points import person_tracks
+from studiorecon.rig.hand_sizes import hand_sizes_px, large_hands, second_best, usual_size
+from studiorecon.scene.camera import Camera
+from studiorecon.scene.people import Detections
+
+from tests.made.cameras import look_at
+
+LAYOUT = LAYOUTS["blazepose33"].keypoints
+RNG = np.random.default_rng(1)
+# A hand of 0.18 m along x, and a left one beside a right one.
+HAND_M = np.column_stack([np.linspace(0, 0.18, 21), RNG.uniform(-0.04, 0.04, (21, 2))])
+BOTH_M = np.stack([HAND_M + np.array([0.1, 0.3, 1.2]), HAND_M * [1, -1, 1] + np.array([0.1, -0.3, 1.0])])
+FRAMES = 6
+
+
+def ring(count: int, focal_px: float = 900.0) -> list[Camera]:
+    """Cameras 3 m from the middle that look at it, 1280 × 720."""
+    angles = [2 * np.pi * (k + 0.15) / count for k in range(count)]
+    places = [np.array([3 * np.cos(a), 3 * np.sin(a), 1.5]) for a in angles]
+    return [look_at(f"cam{k}", p, np.array([0, 0, 1.1]), (1280, 720), focal_px) for k, p in enumerate(places)]
+
+
+def hands_in(cameras: list[Camera]) -> np.ndarray:
+    """(V, T, 2, 21, 3) both hands in every picture."""
+    pixels = np.array([c.project(BOTH_M)[0] for c in cameras])
+    seen = np.concatenate([pixels, np.ones((*pixels.shape[:-1], 1))], -1)
+    return np.repeat(seen[:, None], FRAMES, 1)
+
+
+def people_in(cameras: list[Camera]) -> list[Detections]:
+    """One person's arms: elbows 0.245 m behind the wrists."""
+    found = []
+    for camera in cameras:
+        keypoints = np.zeros((FRAMES, len(LAYOUT), 3))
+        keypoints[..., :2] = np.nan
+        for side, word in enumerate(("left", "right")):
+            wrist = BOTH_M[side, 0]
+            for name, place in (("wrist", wrist), ("elbow", wrist - [0.245, 0, 0])):
+                keypoints[:, LAYOUT.index(f"{word}_{name}")] = [*camera.project(place)[0], 0.9]
+        found.append(Detections(camera.name, "blazepose33", np.arange(FRAMES), np.zeros(FRAMES, int), keypoints))
+    return found
+
+
+def sizes(cameras: list[Camera], film_px: float = 1.0) -> np.ndarray:
+    found = people_in(cameras)
+    who = {(d.camera, 0): "p0" for d in found}
+    return hand_sizes_px(person_tracks(found, who, ["p0"], FRAMES, 0.3), cameras, [film_px] * len(cameras))
+
+
+def test_sizes_are_those_of_a_hand_at_the_wrist():
+    cameras = ring(4)
+    found = sizes(cameras)
+    depths = np.array([c.project(BOTH_M[:, 0])[1] for c in cameras])
+    np.testing.assert_allclose(found[:, 0, 0], 900 * 0.74 * 0.245 / depths, rtol=1e-3)
+    np.testing.assert_allclose(sizes(cameras, 2.5), 2.5 * found, rtol=1e-6)
+
+
+@pytest.mark.parametrize(
+    ("focal_px", "use", "searched"),
+    [(900, "auto", True), (400, "auto", False), (400, "on", True), (900, "off", False)],
+)
+def test_only_large_hands_are_searched_for(focal_px: float, use: str, searched: bool):
+    found = sizes(ring(4, focal_px))
+    assert large_hands(found, use).any() == searched
+    usual = usual_size(found)
+    assert usual is not None
+    assert usual[1][0] < second_best(found).max() < usual[1][1]
+
+
+def test_one_view_is_not_enough():
+    assert not large_hands(sizes(ring(4))[:1], "auto").any()
+    assert usual_size(np.zeros((4, 1, FRAMES, 2))) is None
+
+
+class Network:
+    """Finds the hand whose wrist is nearest to a region, and knows its side."""
+
+    def __init__(self, hands: np.ndarray, presence: float = 0.9, right: tuple[float, float] = (0.1, 0.9)) -> None:
+        self.hands, self.presence, self.right, self.looks = hands, presence, right, 0
+
+    def look(self, picture: np.ndarray, region: Region) -> Hand:
+        self.looks += 1
+        side = int(np.linalg.norm(self.hands[:, :, :2].mean(1) - region.centre, axis=1).argmin())
+        return Hand(self.hands[side, :, :2], self.presence, self.right[side])
+
+
+def searched(network: Network, camera: Camera) -> np.ndarray:
+    """The hands of one camera as its detections get them, at 60 frames a second."""
+    own = people_in([camera])[0]
+    person = np.zeros(FRAMES, int)
+    arms = arms_in_view(own, person, [ExpectedKeypoints("p0", own.keypoints[..., :2])], np.full((1, FRAMES, 2), 60.0),
+                        lambda pixels: pixels, 60.0)  # fmt: skip
+    picture = np.zeros((4, 4, 3), np.uint8)
+    found = find_hands(network, [picture] * FRAMES, arms)  # type: ignore[arg-type]
+    hands = hands_of_rows(found, FRAMES, lambda pixels: (pixels, np.ones(len(pixels), bool)))
+    return interpolate_hands(hands, own, person, 60.0)
+
+
+def test_hands_hang_on_their_arms_and_fill_the_pictures_between():
+    camera = ring(4)[0]
+    truth = hands_in([camera])[0]
+    network = Network(truth[0])
+    found = searched(network, camera)
+    np.testing.assert_allclose(found[:4, :, :, :2], truth[:4, :, :, :2], atol=1e-2)
+    assert np.isnan(found[4:, ..., 0]).all()  # frame 6, the next that would be searched, is not there
+    assert network.looks == 2 * (2 + 1)  # twice at the first, once where a hand was followed
+
+
+@pytest.mark.parametrize(
+    "network",
+    [
+        Network(hands_in(ring(4)[:1])[0, 0], presence=0.3),
+        Network(hands_in(ring(4)[:1])[0, 0], right=(0.99, 0.01)),
+        Network(hands_in(ring(4)[:1])[0, 0] + 300),
+    ],
+    ids=["absent", "of the other side", "elsewhere"],
+)
+def test_what_is_no_hand_of_the_arm_is_not_kept(network: Network):
+    assert not (searched(network, ring(4)[0])[..., 2] > 0).any()
+
+
+def test_one_hand_for_two_arms_is_that_of_its_side():
+    hand = np.full((21, 2), 100.0)
+    arms = [Arm(0, 0, side, 0, np.array([100.0, 100.0]), np.array([120.0, 100.0]), 60.0) for side in (0, 1)]
+    network = Network(np.stack([hand, hand + 900]), right=(0.3, 0.9))
+    found = find_hands(network, [np.zeros((4, 4, 3), np.uint8)], arms)  # type: ignore[arg-type]
+    assert list(found) == [(0, 0)]
+
+
+@pytest.mark.parametrize(("views", "wrong"), [(4, [2]), (4, []), (3, [0]), (5, [1, 3])])
+def test_left_and_right_are_mended(views: int, wrong: list[int]):
+    cameras = ring(views)
+    truth = hands_in(cameras)
+    given = truth.copy()
+    given[wrong, 2] = truth[wrong, 2, ::-1]
+    mended, exchanged = mend_sides(given, cameras)
+    np.testing.assert_allclose(mended, truth)
+    assert {(v, t) for v, t in zip(*np.nonzero(exchanged))} == {(v, 2) for v in wrong}
+
+
+def test_two_views_that_contradict_each_other_lose_their_hands():
+    cameras = ring(4)[:2]
+    given = hands_in(cameras)
+    given[1, 2] = given[1, 2, ::-1].copy()
+    mended, _ = mend_sides(given, cameras)
+    assert np.isnan(mended[:, 2, ..., 0]).all()
+    np.testing.assert_allclose(np.delete(mended, 2, 1), np.delete(given, 2, 1))
+
+
+def test_hands_of_a_persons_tracks_reach_the_fit():
+    cameras = ring(4)
+    truth = hands_in(cameras)
+    found = [replace(d, hands=truth[v].astype(np.float32)) for v, d in enumerate(people_in(cameras))]
+    who = {(d.camera, 0): "p0" for d in found}
+    about = found, who, cameras, [1.0] * 4, FRAMES
+    hands = person_hands("p0", *about, "auto")
+    assert hands is not None
+    np.testing.assert_allclose(hands, truth, atol=1e-3)
+    assert person_hands("p1", *about, "auto") is None
+    assert person_hands("p0", *about, "off") is None
+    assert person_hands("p0", people_in(cameras), *about[1:], "auto") is None
+    small = ring(4, 400)
+    assert person_hands("p0", people_in(small), who, small, [1.0] * 4, FRAMES, "auto") is None

@@ -1,0 +1,185 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Searches one camera's pictures for the hands at the ends of people's arms."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from itertools import pairwise, product
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from studiorecon.detector.hand_landmarks import MIN_PRESENCE, Hand, HandLandmarks, region_of_arm
+from studiorecon.keypoints.hands import HAND_POINTS, SIDES
+from studiorecon.keypoints.layouts import LAYOUTS
+from studiorecon.people.expected_keypoints import ExpectedKeypoints
+from studiorecon.scene.people import Detections
+
+if TYPE_CHECKING:
+    from jaxtyping import Float, Integer, Num
+
+# Keypoints of the body that are less confident do not show where the hand is.
+_SURE = 0.3
+# A hand is another one if its wrist is further from the arm's than this share of its length.
+_MAX_OFF = 0.6
+# It is another person's or the other arm's if the network says so this clearly.
+_MAX_WRONG_SIDE = 0.95
+# Hands are searched for at most so often, pictures per second: fingers move little beside the wrist in a twentieth of a
+# second, and at 30 it would cost a third of detecting the body.
+_SEARCHED_FPS = 20.0
+# Two hands of a person nearer than this share of their length are one.
+_SAME_SHARE = 0.25
+
+
+@dataclass(frozen=True)
+class Arm:
+    """The end of a person's arm in a picture.
+
+    Attributes:
+        row: the person's detection; ``side``: 0 = left, 1 = right; ``person``: who it is.
+        wrist, towards: pixels of the film, and a place beyond the wrist in the direction of the hand.
+        length_px: length of the hand where it is not foreshortened.
+    """
+
+    frame: int
+    row: int
+    side: int
+    person: int
+    wrist: Num[np.ndarray, " 2"]
+    towards: Num[np.ndarray, " 2"]
+    length_px: float
+
+
+def arm_end(
+    layout: str, keypoints: Num[np.ndarray, "K 3"], side: int
+) -> tuple[Num[np.ndarray, " 2"], Num[np.ndarray, " 2"]] | None:
+    """The wrist and a place beyond it: the root of the middle finger where the layout has fingers, else the forearm's
+    extension; None where they are not seen."""
+    names = LAYOUTS[layout].keypoints
+
+    def at(name: str) -> np.ndarray | None:
+        known = f"{SIDES[side]}_{name}"
+        k = names.index(known) if known in names else -1
+        return keypoints[k, :2] if k >= 0 and keypoints[k, 2] >= _SURE else None
+
+    wrist, elbow, index, little = at("wrist"), at("elbow"), at("index_finger"), at("little_finger")
+    if wrist is not None and index is not None and little is not None:
+        return wrist, (2 * index + little) / 3
+    return (wrist, 2 * wrist - elbow) if wrist is not None and elbow is not None else None
+
+
+def every_nth(fps: float) -> int:
+    """Steps of frames in which hands are searched for."""
+    return max(1, math.ceil(fps / _SEARCHED_FPS - 1e-6))
+
+
+def arms_in_view(
+    own: Detections,
+    person: Integer[np.ndarray, " D"],
+    people: Sequence[ExpectedKeypoints],
+    large: Float[np.ndarray, "P T 2"],
+    in_footage: Callable[[Num[np.ndarray, "N 2"]], Num[np.ndarray, "N 2"]],
+    fps: float,
+) -> list[Arm]:
+    """The ends of arms with large hands in the frames that are searched: by the camera's own keypoints, else by the
+    other cameras'.
+
+    ``person``: index into ``people`` of each detection, -1 = nobody's. ``in_footage`` maps working pixels to the
+    film's.
+    """
+    arms = []
+    for row, (frame, k) in enumerate(zip(own.frame.tolist(), person.tolist())):
+        if k < 0 or frame % every_nth(fps):
+            continue
+        place = people[k].at(frame)
+        expected = None if place is None else np.column_stack([place, np.isfinite(place[:, 0])])
+        for side in (0, 1):
+            end = arm_end(own.layout, own.keypoints[row], side) if large[k, frame, side] else None
+            if end is None and large[k, frame, side] and expected is not None:
+                end = arm_end(own.layout, expected, side)
+            if end is not None:
+                arms.append(Arm(frame, row, side, k, *in_footage(np.array(end)), float(large[k, frame, side])))
+    return arms
+
+
+def find_hands(
+    network: HandLandmarks, pictures: Iterable[Integer[np.ndarray, "H W 3"]], arms: Sequence[Arm]
+) -> dict[tuple[int, int], Hand]:
+    """(row, side) → the hand at the end of each of ``arms``; ``pictures`` (RGB) are those of their frames, in order.
+
+    A hand that was found in the picture before is searched for around its points.
+    """
+    found, last = dict[tuple[int, int], Hand](), dict[tuple[int, int], tuple[Arm, Hand]]()
+    for frame, picture in zip(sorted({arm.frame for arm in arms}), pictures):
+        now = dict[tuple[int, int], tuple[Arm, Hand]]()
+        for arm in (one for one in arms if one.frame == frame):
+            hand = None
+            if before := last.get((arm.person, arm.side)):
+                region = before[1].region
+                moved = replace(region, centre=region.centre + arm.wrist - before[0].wrist)
+                hand = hand_of_arm(arm, network.look(picture, moved))
+            if hand is None:
+                first = network.look(picture, region_of_arm(arm.wrist, arm.towards, arm.length_px))
+                if first.presence >= MIN_PRESENCE:
+                    hand = hand_of_arm(arm, network.look(picture, first.region))
+            if hand is not None:
+                now[arm.person, arm.side] = arm, hand
+        last = {who: one for who, one in now.items() if not _is_others(*one, now.get((who[0], 1 - who[1])))}
+        found |= {(arm.row, arm.side): hand for arm, hand in last.values()}
+    return found
+
+
+def _is_others(arm: Arm, hand: Hand, other: tuple[Arm, Hand] | None) -> bool:
+    """Whether a hand is rather the ``other`` one of the same person, by the network's opinion of its side."""
+    if other is None or np.linalg.norm(hand.points - other[1].points, axis=1).mean() > _SAME_SHARE * arm.length_px:
+        return False
+    return (hand.right < 0.5) == bool(arm.side)
+
+
+def hand_of_arm(arm: Arm, seen: Hand) -> Hand | None:
+    """``seen`` if it is the hand of ``arm``: at its end, of its side and of its size."""
+    off = float(np.linalg.norm(seen.points[0] - arm.wrist))
+    wrong_side = 1 - seen.right if arm.side else seen.right
+    fits = seen.presence >= MIN_PRESENCE and off <= _MAX_OFF * arm.length_px and wrong_side <= _MAX_WRONG_SIDE
+    return seen if fits else None
+
+
+def hands_of_rows(
+    found: Mapping[tuple[int, int], Hand],
+    rows: int,
+    working: Callable[[Num[np.ndarray, "N 2"]], tuple[Num[np.ndarray, "N 2"], Num[np.ndarray, " N"]]],
+) -> Float[np.ndarray, "D 2 21 3"]:
+    """The hands as a field of detections: ``working`` maps pixels of the film to working pixels and whether they
+    exist."""
+    out = np.full((rows, 2, HAND_POINTS, 3), np.nan, np.float32)
+    out[..., 2] = 0
+    for (row, side), hand in found.items():
+        pixels, valid = working(hand.points)
+        out[row, side, :, :2] = np.where(valid[:, None], pixels, np.nan)
+        out[row, side, :, 2] = np.where(valid, hand.presence, 0.0)
+    return out
+
+
+def interpolate_hands(
+    hands: Float[np.ndarray, "D 2 21 3"], own: Detections, person: Integer[np.ndarray, " D"], fps: float
+) -> Float[np.ndarray, "D 2 21 3"]:
+    """``hands`` with those of the detections between two searched frames in which they are: they move with the wrist,
+    and linearly beside it."""
+    whole, names = hands.copy(), LAYOUTS[own.layout].keypoints
+    for k, side in product(np.unique(person[person >= 0]), (0, 1)):
+        rows = np.flatnonzero(person == k)
+        rows = rows[np.argsort(own.frame[rows], kind="stable")]
+        wrist = own.keypoints[:, names.index(f"{SIDES[side]}_wrist"), :2]
+        seen = [place for place, row in enumerate(rows) if hands[row, side, 0, 2] > 0]
+        for first, last in pairwise(seen):
+            a, b = rows[first], rows[last]
+            if own.frame[b] - own.frame[a] > every_nth(fps):
+                continue
+            for row in rows[first + 1 : last]:
+                share = (own.frame[row] - own.frame[a]) / (own.frame[b] - own.frame[a])
+                between = (1 - share) * hands[a, side] + share * hands[b, side]
+                between[:, :2] += np.nan_to_num(wrist[row] - (1 - share) * wrist[a] - share * wrist[b])
+                whole[row, side] = between
+    return whole
