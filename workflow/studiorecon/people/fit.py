@@ -27,9 +27,16 @@ from studiorecon.errors import UserError
 from studiorecon.geometry import rotations
 from studiorecon.keypoints.resampling import correct_rolling_shutter
 from studiorecon.people.fit_settings import HandSettings, SmoothingSettings, TriangulationSettings
+from studiorecon.people.fitting.hands import person_hands
 from studiorecon.people.fitting.legs import bend_hidden_legs
 from studiorecon.people.fitting.limbs import body_scale, limb_ratio
-from studiorecon.people.fitting.points import Points, detector_offset_m, person_keypoints, triangulate_keypoints
+from studiorecon.people.fitting.points import (
+    Points,
+    detector_offset_m,
+    person_keypoints,
+    triangulate_hands,
+    triangulate_keypoints,
+)
 from studiorecon.people.fitting.presence import fill_gaps, presence, true_runs
 from studiorecon.people.fitting.surface_points import triangulate_surface
 from studiorecon.progress import say
@@ -291,7 +298,10 @@ def run(
     if settings.fit.vertex_weight > 0:
         about = footage.frames, limits, sigma_m, settings.fit.vertices
         surface = triangulate_surface(person, seen, whose, cameras, body_model, *about)
-    fitted, result = fit_person(person, points, body_model, footage.fps, settings, surface)
+    film_px = [footage.of(c.name).film_px for c in cameras]
+    hands = person_hands(person, seen, whose, cameras, film_px, footage.frames, settings.hands)
+    fingers = None if hands is None else triangulate_hands(hands, cameras, limits)
+    fitted, result = fit_person(person, points, body_model, footage.fps, settings, surface, fingers)
     residual_mm, sigma_mm = 1000 * np.nanmedian(result.residual_m), 1000 * np.median(fitted.sigma[fitted.valid])
     say(
         f"{person}: body measured in {fitted.valid.sum()} of {footage.frames} frames, seen by up to "
