@@ -218,6 +218,8 @@ function makePlayer(scene, painter) {
     reset: () => { eye.reset(); changed(); },
     full: () => (document.fullscreenElement ? document.exitFullscreen() : document.documentElement.requestFullscreen()),
     help: () => (at("keys").open ? at("keys").close() : at("keys").showModal()),
+    addKey: () => addKey(player),
+    shot: (name) => shotText(player.keys, name),
     step: (by) => { state.playing = false; seek(Math.round(place()) + by); },
     drawn: () => drawn,
     pictures: () => pictures,

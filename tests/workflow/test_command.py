@@ -14,7 +14,7 @@ import numpy as np
 import pytest
 import yaml
 from studiorecon import home
-from studiorecon.cli import command
+from studiorecon.cli import command, quick_check
 from studiorecon.configuration.catalogue import list_film_settings, list_settings
 from studiorecon.errors import UserError
 from studiorecon.footage.video import write_watchable
@@ -245,7 +245,7 @@ def test_the_doctor_s_first_words_need_no_run(tmp_path: Path) -> None:
     (tmp_path / "videos").mkdir()
     for name, grey in (("a", 200), ("b", 40)):
         write_watchable(tmp_path / f"videos/{name}.mp4", [np.full((48, 64, 3), grey, np.uint8)] * 3, 30.0)
-    reported = list(command.quick_check(tmp_path))
+    reported = list(quick_check.quick_check(tmp_path))
     assert reported[0] == "calibration: none, so the keypoints of people give the cameras"
     assert any(
         t.startswith("camera a: 64×48, 30 fps, 3 frames, mean grey 0.7") and "the detector finds people" in t
@@ -253,4 +253,6 @@ def test_the_doctor_s_first_words_need_no_run(tmp_path: Path) -> None:
     )
     assert any("the exposures differ" in t for t in reported)
     (tmp_path / "videos/b.mp4").write_bytes(b"no video")
-    assert any(t.startswith("camera b: ") and "cannot be read as a video" in t for t in command.quick_check(tmp_path))
+    assert any(
+        t.startswith("camera b: ") and "cannot be read as a video" in t for t in quick_check.quick_check(tmp_path)
+    )

@@ -18,11 +18,12 @@ import sys
 import threading
 import time
 from collections import Counter
+from dataclasses import astuple
 from pathlib import Path
 
 from snakemake_interface_logger_plugins.base import LogHandlerBase
 from snakemake_interface_logger_plugins.common import LogEvent
-from studiorecon.cli.run_progress import Run, Running, read_seconds, record_seconds
+from studiorecon.cli.run_progress import PROGRESS, Run, Running, read_seconds, record_seconds
 from studiorecon.configuration.overlays import OVERLAY_OPTIONS, check_overlay, split_option
 from studiorecon.errors import UserError
 from studiorecon.pages.run_summary import closing_lines
@@ -147,6 +148,7 @@ class LogHandler(LogHandlerBase):
     def _write_page(self, on: bool) -> None:
         # Not before a run is on: Snakemake imports its plugins at every start.
         from studiorecon.pages import run_page
+        from studiorecon.scene.files import write_json
 
         run, now = self._run, time.monotonic()
         by_stage: dict[str, list[int]] = {stage: [0, 0] for stage in self._order}
@@ -175,6 +177,9 @@ class LogHandler(LogHandlerBase):
         partial = folder / ".progress.partial.html"
         partial.write_text(text, encoding="utf-8")
         partial.replace(folder / "progress.html")
+        about = {"scene": self._scene, "on": on, "pid": os.getpid(), "done": done, "total": total, "left": rest}
+        about |= {"running": jobs if on else [], "failed": run.failed, "stages": [list(astuple(one)) for one in stages]}
+        write_json(PROGRESS, about)
 
     def close(self) -> None:
         """Snakemake closes a handler, and Python does again when it ends."""

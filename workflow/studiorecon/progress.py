@@ -25,6 +25,8 @@ T = TypeVar("T")
 WARNING = "warning: "
 """First word of a line of a log that ``warn`` wrote."""
 LOGGER = logging.getLogger("studiorecon")
+LATEST = "latest.jpg"
+"""The newest picture of a training that is on, in its working folder; it goes with the training's end."""
 RUN = "STUDIORECON_RUN"
 """Environment variable of a run's steps: ``bar`` if the run draws its bar on this terminal, otherwise ``lines``. The
 run lists the warnings at its end, so that its steps do not show them.

@@ -8,20 +8,20 @@ from __future__ import annotations
 
 import argparse
 import difflib
-import importlib.util
 import os
 import subprocess
 import sys
 import webbrowser
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from studiorecon.__main__ import main as step_main
-from studiorecon.configuration.overlays import OVERLAY_OPTIONS, split_option
+from studiorecon.cli.snakemake_call import environment, preset_names, snakemake_command
+from studiorecon.configuration.overlays import split_option
 from studiorecon.errors import UserError
-from studiorecon.home import CONFIGURATION, HOME, PRESETS, SCHEMA, SNAKEFILE
+from studiorecon.home import CONFIGURATION, HOME, SCHEMA
 from studiorecon.machine.crash_report import fault_sentence, keep_trace
 from studiorecon.machine.output import unbroken_output
 from studiorecon.machine.resource_errors import describe_resource_error
@@ -88,6 +88,7 @@ def _parser() -> argparse.ArgumentParser:
     look = word("look", _look, "preview a capture: one small film, nothing else")
     run = word("run", _run, "reconstruct a capture: films, page and files for other tools")
     plan = word("plan", _plan, "suggest camera positions for a room or a capture, with a picture")
+    window = word("open", _open, "one window: drop videos, look, correct, fly", runs=False)
     view = word("view", _view, "show a finished scene's page in the browser", runs=False)
     settings = word("settings", _settings, "print every setting with its meaning and default", runs=False)
     for made in (doctor, look, run):
@@ -101,10 +102,11 @@ def _parser() -> argparse.ArgumentParser:
         help="take whose cameras the others use (default: one with a calibration, or the longest)",
     )
     for made in (demo, run):
-        made.add_argument("--preset", metavar="P", help=f"{', '.join(_presets())}, or a file of your own")
+        made.add_argument("--preset", metavar="P", help=f"{', '.join(preset_names())}, or a file of your own")
         made.add_argument("--budget", metavar="MIN", type=float, help="minutes it may take: chooses the preset")
     _add_plan_arguments(plan)
     _add_view_arguments(view)
+    _add_window_arguments(window)
     begins = "section or setting: people, people.fit, render.shots"
     settings.add_argument("name", nargs="?", default="", help=begins)
     return parser
@@ -125,9 +127,19 @@ def _add_plan_arguments(plan: argparse.ArgumentParser) -> None:
 def _add_view_arguments(view: argparse.ArgumentParser) -> None:
     finished = "the capture or its results folder (default: the demo's)"
     view.add_argument("folder", nargs="?", default="demo", metavar="DIR", help=finished)
+    _add_server_arguments(view)
+
+
+def _add_window_arguments(window: argparse.ArgumentParser) -> None:
+    home = "folder of projects, which gets results/ too (default: the current one); or one capture"
+    window.add_argument("folder", nargs="?", type=Path, default=Path(), metavar="DIR", help=home)
+    _add_server_arguments(window)
+
+
+def _add_server_arguments(word: argparse.ArgumentParser) -> None:
     port = f"port on 127.0.0.1 (default: {_PORT}; 0: a free one)"
-    view.add_argument("--port", type=int, default=_PORT, help=port)
-    view.add_argument("--no-browser", action="store_true", help="only serve and print the address")
+    word.add_argument("--port", type=int, default=_PORT, help=port)
+    word.add_argument("--no-browser", action="store_true", help="only serve and print the address")
 
 
 def _version() -> str:
@@ -144,42 +156,11 @@ def _demo(options: argparse.Namespace) -> int:
 def _doctor(options: argparse.Namespace) -> int:
     capture = _capture(options.folder)
     if options.folder.is_dir():
+        from studiorecon.cli.quick_check import quick_check  # loads OpenCV, which other subcommands do not need
+
         for sentence in quick_check(options.folder):
             print(sentence, flush=True)
     return _snakemake("doctor", capture, options)
-
-
-def quick_check(folder: Path) -> Iterator[str]:
-    """Sentences from files, headers and two pictures of every camera; raises UserError without a capture."""
-    from studiorecon.calibration.checks.advice import brightness_and_clipping, footage_notes
-    from studiorecon.footage.frames import seek_frames
-    from studiorecon.footage.source import open_source  # loads OpenCV, which other subcommands do not need
-    from studiorecon.plan.discovery import open_dataset
-
-    capture = open_dataset(folder, None)
-    calibration = ", ".join(
-        str(file.relative_to(folder)) if file.is_relative_to(folder) else str(file) for file in capture.calibration
-    )
-    yield f"calibration: {calibration or 'none, so the keypoints of people give the cameras'}"
-    about = []
-    for camera, source in capture.footage.items():
-        start = capture.first_frame
-        try:
-            seen = open_source(source, 0.0)
-            frames = seen.frames + sum(open_source(part, 0.0).frames for part in capture.chapters.get(camera, ())[1:])
-            light = brightness_and_clipping(seek_frames(seen, [start, start + capture.frame_count // 2]))
-        except UserError as refusal:
-            yield f"camera {camera}: {refusal}"
-            continue
-        has = camera in capture.keypoints
-        yield (
-            f"camera {camera}: {seen.wh[0]}×{seen.wh[1]}, {seen.fps:g} fps, {frames} frames, mean grey "
-            f"{light['brightness']:.2f}, {'keypoints' if has else 'no keypoints: the detector finds people'}"
-        )
-        yield from (f"camera {camera}: {note}" for note in seen.notes)
-        about.append({"camera": camera, **light, "fps": seen.fps, "rotation_deg": seen.rotation_deg})
-    yield from footage_notes(about) if about else ()
-    yield from capture.notes
 
 
 def _look(options: argparse.Namespace) -> int:
@@ -253,52 +234,11 @@ def _capture(folder: Path) -> str:
     return str(folder)
 
 
-def _presets() -> list[str]:
-    return sorted(path.stem for path in PRESETS.glob("*.yaml"))
-
-
-def preset_file(name: str) -> Path:
-    """The overlay of a preset's name, or of a path; raises UserError with the nearest name when there is neither."""
-    file = PRESETS / f"{name}.yaml"
-    if file.is_file():
-        return file
-    if Path(name).is_file():
-        return Path(name)
-    near = difflib.get_close_matches(name, _presets(), 1)
-    raise UserError(
-        f"there is no preset {name}; {f'did you mean {near[0]}?' if near else 'there are ' + ', '.join(_presets())}"
-    )
-
-
-def snakemake_command(target: str, dataset: str, cores: str, preset: str | None, rest: Sequence[str]) -> list[str]:
-    """The call of the packaged Snakefile; options in ``rest`` that Snakemake takes only once are merged with ours."""
-    config, rest = split_option(rest, ("--config", "-C"))
-    overlays, rest = split_option(rest, OVERLAY_OPTIONS)
-    overlays = [*([str(preset_file(preset))] if preset else []), *overlays]
-    command = [
-        sys.executable,
-        "-m",
-        "snakemake",
-        *([target] if target else []),
-        "--snakefile",
-        str(SNAKEFILE),
-        "--cores",
-        cores,
-        *rest,
-    ]
-    # Last, since they take all words that follow.
-    return [*command, *(["--configfile", *overlays] if overlays else []), "--config", f"dataset={dataset}", *config]
-
-
 def _snakemake(target: str, dataset: str, options: argparse.Namespace) -> int:
-    if importlib.util.find_spec("snakemake") is None:
-        raise UserError("Snakemake, which runs the steps, is not installed here: pip install 'studiorecon[run]'")
     budget = getattr(options, "budget", None)
     command = snakemake_command(target, dataset, options.cores, getattr(options, "preset", None), options.rest)
     command += [] if budget is None else [f"budget_min={budget:g}"]
-    # Rules call `python`: it must be this command's own, even if its environment is not activated.
-    path = os.pathsep.join([os.path.dirname(sys.executable), os.environ.get("PATH", "")])
-    with subprocess.Popen(command, env={**os.environ, "PATH": path}) as process:
+    with subprocess.Popen(command, env=environment()) as process:
         while True:
             try:
                 status = process.wait()
@@ -328,6 +268,15 @@ def _view(options: argparse.Namespace) -> int:
     from studiorecon.window.serving import Folder, LocalServer  # loads the server, which other subcommands do not need
 
     return _serve(LocalServer(Folder(finished_scene(str(options.folder))), options.port), "report/", options)
+
+
+def _open(options: argparse.Namespace) -> int:
+    from studiorecon.window.app import build_app
+    from studiorecon.window.projects import enter
+    from studiorecon.window.serving import LocalServer
+
+    page = enter(options.folder)
+    return _serve(LocalServer(build_app(), options.port), page, options)
 
 
 def _serve(server: LocalServer, page: str, options: argparse.Namespace) -> int:

@@ -16,6 +16,8 @@ from statistics import median
 
 from studiorecon.progress import shorten
 
+PROGRESS = Path(".snakemake/progress.json")
+"""The progress of the working folder's latest run, as the window reads it."""
 REMEMBERED_JOBS = 12
 """Number of jobs of one rule and scene whose seconds are remembered."""
 _ENOUGH = 0.9  # share of remaining jobs that need an estimate for a plain answer

@@ -1,20 +1,29 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Progress of a training loop: a message and a picture at every tenth of the way."""
+"""Progress of a training loop: a message and a picture at every tenth of the way, and the latest picture meanwhile."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+import contextlib
+import time
+from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
 
-from studiorecon.images.encoded import write_png
+from studiorecon.images.encoded import jpeg, write_png
 from studiorecon.images.metrics import psnr
-from studiorecon.progress import LOGGER, say
+from studiorecon.progress import LATEST, LOGGER, say
+from studiorecon.scene.files import atomic_path
 
 if TYPE_CHECKING:
     from jaxtyping import Bool, Float, Num
+
+
+# A picture of a room costs about a tenth of a second; one every fifty times as long takes 2 % of the time.
+_SHARE = 50.0
+# A person who watches sees no change sooner.
+_MIN_EVERY_S = 3.0
 
 
 class Feedback:
@@ -25,6 +34,7 @@ class Feedback:
         self.psnrs_db: list[float] = []
         self._label, self._first, self._last, self._previews = label, first, last, previews
         self._tenth = max(1, (last - first) // 10)
+        self._next_s = time.monotonic() + _MIN_EVERY_S
 
     def record(self) -> dict[str, Float[np.ndarray, " I"]]:
         """The values added so far, for a checkpoint."""
@@ -39,6 +49,23 @@ class Feedback:
         self.losses.append(loss)
         self.psnrs_db.append(psnr_db)
         return len(self.losses) % self._tenth == 0
+
+    def show_latest(self, draw: Callable[[], Num[np.ndarray, "H W 3"]]) -> None:
+        """Write what ``draw`` returns as the latest picture, where one is due."""
+        begun_s = time.monotonic()
+        if self._previews is None or begun_s < self._next_s:
+            return
+        from studiorecon.footage.video import to_bytes
+
+        with contextlib.suppress(OSError), atomic_path(self._previews / LATEST) as partial:
+            partial.write_bytes(jpeg(to_bytes(np.nan_to_num(draw())), 85))
+        ended_s = time.monotonic()
+        self._next_s = ended_s + max(_MIN_EVERY_S, _SHARE * (ended_s - begun_s))
+
+    def end(self) -> None:
+        """Remove the latest picture."""
+        if self._previews is not None:
+            (self._previews / LATEST).unlink(missing_ok=True)
 
     @property
     def last_psnr_db(self) -> float:

@@ -95,8 +95,10 @@ def train(
             if feedback.add(*subject.step(iteration, view, view.total(terms))):
                 seen = subject.preview()
                 feedback.report_progress(seen.count, seen.name, seen.shown, seen.wanted, seen.used)
+            feedback.show_latest(lambda: subject.preview().shown)
         if checkpoint is not None and checkpoint.due():
             arrays, facts = subject.snapshot()
             ours = {"iteration": iteration + 1, "generator": rng.bit_generator.state}
             checkpoint.save({**feedback.record(), **arrays}, {**facts, **ours})
+    feedback.end()
     return feedback.last_psnr_db
