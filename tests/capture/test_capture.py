@@ -137,21 +137,6 @@ class TestFrames:
 class TestRefusals:
     """Every unusable input is one sentence with file and remedy, and leaves finished results alone."""
 
-    def test_missing_file(self, tmp_path: Path, run_frames) -> None:
-        with pytest.raises(UserError, match=r"nowhere\.mp4 is missing; put the video back"):
-            run_frames(tmp_path / "nowhere.mp4")
-
-    def test_not_a_video(self, tmp_path: Path, run_frames) -> None:
-        (tmp_path / "a.mp4").write_bytes(b"these are not frames" * 100)
-        with pytest.raises(UserError, match=r"a\.mp4 cannot be read as a video.*copy it again"):
-            run_frames(tmp_path / "a.mp4")
-
-    def test_a_cut_off_mp4(self, tmp_path: Path, run_frames) -> None:
-        whole = write_video(tmp_path / "whole.mp4", smooth_pictures(30)).read_bytes()
-        (tmp_path / "a.mp4").write_bytes(whole[: len(whole) // 2])
-        with pytest.raises(UserError, match=r"a\.mp4.*copy it again"):
-            run_frames(tmp_path / "a.mp4")
-
     def test_of_a_cut_off_recording_the_sound_part_is_used(self, tmp_path: Path, run_frames) -> None:
         write_lossless(tmp_path / "whole.mkv", iter(smooth_pictures(40)), 30)
         whole = (tmp_path / "whole.mkv").read_bytes()
@@ -179,19 +164,6 @@ class TestRefusals:
         write_lossless(tmp_path / "a.mkv", iter(smooth_pictures(2)), 30)
         with pytest.raises(UserError, match="has no camera b; it has a"):
             run_frames(tmp_path / "a.mkv", camera="b")
-
-    def test_folders_without_pictures_or_with_broken_ones(self, tmp_path: Path, run_frames) -> None:
-        folder = tmp_path / "pictures"
-        folder.mkdir()
-        with pytest.raises(UserError, match="holds no pictures"):
-            run_frames(folder)
-        cv2.imwrite(str(folder / "0.png"), smooth_pictures(1)[0])
-        (folder / "1.png").write_bytes(b"")
-        with pytest.raises(UserError, match=r"1\.png is not a readable picture"):
-            run_frames(folder)
-        cv2.imwrite(str(folder / "1.png"), smooth_pictures(1, (48, 32))[0])
-        with pytest.raises(UserError, match=r"1\.png is 48×32, but the first picture"):
-            run_frames(folder)
 
 
 class TestBetweenSteps:

@@ -7,7 +7,6 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from studiorecon.errors import UserError
 from studiorecon.keypoints.deeplabcut import canonical_name
 from studiorecon.keypoints.layout_choice import choose_layout
 from studiorecon.keypoints.layouts import LAYOUTS
@@ -85,25 +84,6 @@ def test_several_people_in_any_order_of_parts(tmp_path: Path, capsys: pytest.Cap
     assert found.frame.tolist() == [0, 0, 1, 2, 2]
     np.testing.assert_array_equal(found.keypoints, given[[0, 0, 1, 2, 2], [0, 1, 0, 0, 1]])
     assert "tail are not in the layout coco17" in capsys.readouterr().out + capsys.readouterr().err
-
-
-def test_what_cannot_be_read_is_refused(tmp_path: Path) -> None:
-    (tmp_path / "k.h5").write_bytes(b"\x89HDF")
-    with pytest.raises(UserError, match=r"HDF5.*save_as_csv=True"):
-        read_keypoints(tmp_path / "k.h5")
-    path = tmp_path / "k.csv"
-    path.write_text("x,y\n1,2\n")
-    with pytest.raises(UserError, match="does not begin with rows of scorer, bodyparts and coords"):
-        read_keypoints(path)
-    with pytest.raises(UserError, match=r"its body parts \(snout, tail\) are not those of a person"):
-        read_keypoints(write(path, ["snout", "tail"], planted(1, 1, 2)))
-    text = write(path, MEDIAPIPE, planted(2, 1, 33)).read_text().rstrip("\n")
-    path.write_text(text + ",7\n")
-    with pytest.raises(UserError, match="line 5: it holds 101 cells"):
-        read_keypoints(path)
-    path.write_text(text.rpartition(",")[0] + ",much\n")
-    with pytest.raises(UserError, match="line 5: one of its cells is no number"):
-        read_keypoints(path)
 
 
 def test_deeplabcut_s_own_file_names_are_found(tmp_path: Path) -> None:

@@ -9,7 +9,6 @@ from typing import Any
 
 import numpy as np
 import pytest
-from studiorecon.errors import UserError
 from studiorecon.keypoints.layout_choice import choose_layout
 from studiorecon.keypoints.readers import read_keypoints
 
@@ -61,20 +60,3 @@ def test_one_person_of_the_older_solutions(tmp_path: Path) -> None:
     found = read_keypoints(written(tmp_path, content), WH)
     assert (found.pictures.tolist(), found.frame.tolist()) == ([0, 1, 2], [0, 2])
     np.testing.assert_allclose(found.keypoints[1], in_pixels(person(4)), atol=1e-9)
-
-
-@pytest.mark.parametrize(
-    ("found", "says"),
-    [
-        ([person(0)[:20]], "frame 0: a person has 20 landmarks; MediaPipe's bodies have 33"),
-        ([[{"x": 300.0, "y": 200.0}] * 33], "frame 0: landmarks are up to 300; MediaPipe's are shares, 0 to 1"),
-        ([[{"x": 0.3}] * 33], "frame 0: a landmark has no x and y"),
-        ([[{"x": "a", "y": 0.1}] * 33], "frame 0: landmarks"),
-        ("nobody", "frame 0: landmarks are 'nobody'"),
-        ([[1, 2]], "frame 0: a landmark has no x and y"),
-    ],
-    ids=["hands", "pixels", "flat", "text", "word", "numbers"],
-)
-def test_what_is_no_landmark_is_reported_with_its_frame(tmp_path: Path, found: Any, says: str) -> None:
-    with pytest.raises(UserError, match=f"cam1.json, {says}"):
-        read_keypoints(written(tmp_path, [{"pose_landmarks": found}]), WH)

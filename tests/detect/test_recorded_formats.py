@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 from studiorecon.errors import UserError
 from studiorecon.keypoints.file_numbers import number_names
-from studiorecon.keypoints.readers import MAX_PEOPLE_PER_PICTURE, read_keypoints
+from studiorecon.keypoints.readers import read_keypoints
 from studiorecon.scene.recorded_keypoints import RecordedKeypoints, read_recorded, write_recorded
 
 # Two people in picture 0, nobody in 1, one in 2.
@@ -191,19 +191,6 @@ def test_the_number_that_counts_pictures_is_taken(names: list[str], numbers: lis
     assert number_names(names, "keypoints") == numbers
 
 
-@pytest.mark.parametrize("names", [["a_1", "b_1"], ["left", "right"], ["1" * 30, "2" * 30]])
-def test_names_that_do_not_count_are_refused(names: list[str]) -> None:
-    with pytest.raises(UserError, match="keypoints: "):
-        number_names(names, "keypoints")
-
-
-@pytest.mark.parametrize("name", ["k.slp", "k.pickle", "k.npy", "k.h5", "k.txt"])
-def test_files_of_other_programs_are_refused_by_name(tmp_path: Path, name: str) -> None:
-    (tmp_path / name).write_bytes(b"x")
-    with pytest.raises(UserError, match=name):
-        read_keypoints(tmp_path / name)
-
-
 def test_one_person_s_array_is_read(tmp_path: Path) -> None:
     np.savez(tmp_path / "k.npz", keypoints=POINTS)
     assert read_keypoints(tmp_path / "k.npz").frame.tolist() == [0, 1, 2]
@@ -253,17 +240,3 @@ def test_arrays_of_no_real_numbers_are_named_by_their_kind(kind: Any, tmp_path: 
     np.savez(tmp_path / "k.npz", keypoints=array)
     with pytest.raises(UserError, match=r"k\.npz: keypoints: the array holds .*; it must hold real numbers"):
         read_keypoints(tmp_path / "k.npz")
-
-
-def test_keypoints_without_scores_all_count_and_it_is_said(tmp_path: Path, capsys: pytest.CaptureFixture) -> None:
-    people = [[{"keypoints": [[10.0, 20.0]] * 17}], [{"keypoints": [[11.0, 20.0]] * 17}]]
-    (tmp_path / "k.json").write_text(json.dumps(people))
-    assert (read_keypoints(tmp_path / "k.json").keypoints[..., 2] == 1).all()
-    assert "k.json has no scores" in capsys.readouterr().out
-
-
-def test_a_crowd_beyond_the_limit_is_refused_with_its_frame(tmp_path: Path) -> None:
-    people = [{"pose_keypoints_2d": flat(0)}] * (MAX_PEOPLE_PER_PICTURE + 1)
-    (tmp_path / "cam_0007.json").write_text(json.dumps({"people": people}))
-    with pytest.raises(UserError, match=r"frame 7: 501 detections .* at most 500"):
-        read_keypoints(tmp_path)

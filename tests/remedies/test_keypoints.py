@@ -4,6 +4,8 @@
 from __future__ import annotations
 
 import json
+import warnings
+import zipfile
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -15,6 +17,7 @@ from studiorecon.keypoints.layout_choice import choose_layout
 from studiorecon.keypoints.layouts import LAYOUTS
 from studiorecon.keypoints.readers import read_keypoints
 
+from tests.made.file_contents import npy
 from tests.made.remedies import follow
 
 FRAMES = 3
@@ -90,6 +93,108 @@ def mediapipe(landmark: dict[str, float] = LANDMARK) -> Write:
 
 COCO_OK = coco()
 
+
+def arrays(**named: Any) -> Write:
+    def write(where: Path) -> Path:
+        np.savez(where / "cam.npz", **named)
+        return where / "cam.npz"
+
+    return write
+
+
+def npz_of(content: bytes, *, times: int = 1) -> Write:
+    def write(where: Path) -> Path:
+        with zipfile.ZipFile(where / "cam.npz", "w") as archive, warnings.catch_warnings():
+            warnings.simplefilter("ignore", UserWarning)
+            for _ in range(times):
+                archive.writestr("keypoints.npy", content)
+        return where / "cam.npz"
+
+    return write
+
+
+def edited(write: Write, old: str, new: str) -> Write:
+    def edit(where: Path) -> Path:
+        path = write(where)
+        assert old in path.read_text()
+        path.write_text(path.read_text().replace(old, new, 1))
+        return path
+
+    return edit
+
+
+def names_in(folder_names: tuple[str, ...]) -> Write:
+    def write(where: Path) -> Path:
+        (where / "cam").mkdir()
+        for name in folder_names:
+            (where / "cam" / name).write_text(OPENPOSE)
+        return where / "cam"
+
+    return write
+
+
+def picture(person: Any) -> Write:
+    return folder("cam_{}.json", json.dumps({"people": [person]}))
+
+
+NPY = npy(np.tile(person(), (FRAMES, 1, 1, 1)))
+LISTED = {"images": [{"id": f, "file_name": f"{f}.jpg"} for f in range(FRAMES)],
+          "annotations": [{"image_id": f, "keypoints": flat()} for f in range(FRAMES)]}  # fmt: skip
+VITPOSE = {"skeleton": {}, "keypoints": [{"0": person()[:, [1, 0, 2]].tolist()} for _ in range(FRAMES)]}
+RESULTS, CONTENT, TABLE = "keypoints/result_files.py", "keypoints/picture_content.py", "keypoints/deeplabcut.py"
+READERS, FILES, NUMBERS = "keypoints/readers.py", "scene/user_files.py", "keypoints/file_numbers.py"
+# A good file, and damages of it with the place of the sentence.
+MORE: list[tuple[Write, list[tuple[str, Write]]]] = [
+    (npz, [
+        (f"{READERS} _neutral 1", arrays(points=person())),
+        (f"{READERS} _neutral 2", arrays(keypoints=np.ones((3, 17)))),
+        (f"{READERS} _neutral 3", arrays(keypoints=np.ones((3, 1, 17, 2)), scores=np.ones(3))),
+        (f"{READERS} _checked 2", arrays(keypoints=np.ones((3, 1, 1001, 3)))),
+        ("scene/user_values.py numbers 1", arrays(keypoints=np.full((3, 1, 17, 3), "a"))),
+        (f"{FILES} _array 1", arrays(keypoints=np.array([{}], object))),
+        (f"{FILES} _array 2", npz_of(NPY[:200])),
+        (f"{FILES} _array 3", npz_of(b"these are no numbers" * 9)),
+        (f"{FILES} read_npz 1", npz_of(NPY, times=2)),
+        (f"{FILES} read_npz 3", text("cam.npz", "these are no arrays")),
+    ]),
+    (folder("cam_{}.json", OPENPOSE), [
+        (f"{READERS} _folder", folder("cam_{}.xml", "x")),
+        (f"{NUMBERS} number_names 1", names_in(("a.json", "b.json", "c.json"))),
+        (f"{NUMBERS} number_names 2", names_in(("a_1.json", "b_1.json", "c_2.json"))),
+        (f"{NUMBERS} _whole", names_in((f"a_{'9' * 30}.json", "a_1.json", "a_2.json"))),
+        (f"{CONTENT} read_people 1", folder("cam_{}.json", "{}")),
+        (f"{CONTENT} read_people 2", picture(5)),
+        (f"{CONTENT} read_people 3", picture({"keypoints_of_person": flat()})),
+        (f"{CONTENT} _hands", picture({"pose_keypoints_2d": flat(18), "hand_left_keypoints_2d": flat(3)})),
+        (f"{CONTENT} _points 3", picture({"pose_keypoints_2d": flat()[:-1]})),
+        (f"{FILES} read_json 1", folder("cam_{}.json", "{")),
+    ]),
+    (js(LISTED), [
+        (f"{RESULTS} _coco_dataset 1", js(LISTED | {"images": [{"id": 0}]})),
+        (f"{RESULTS} _coco_dataset 2", js(LISTED | {"annotations": [{"image_id": 9, "keypoints": flat()}]})),
+    ]),
+    (js(VITPOSE), [(f"{RESULTS} _easy_vitpose", js(VITPOSE | {"keypoints": [[1]]}))]),
+    (mmpose({}),
+     [(f"{READERS} _usable 1", js([{"frame_id": 0, "instances": [{"keypoints": person()[:, :2].tolist()}]}])),
+        (f"{RESULTS} _numbered 1", js({"instance_info": [5]}))]),
+    (mediapipe(), [
+        ("keypoints/mediapipe.py _people", js([{"frame": 0, "pose_landmarks": [5]}])),
+        ("keypoints/mediapipe.py _points 2", js([{"frame": 0, "pose_landmarks": [[LANDMARK] * 32]}])),
+        ("keypoints/mediapipe.py read_mediapipe", js([{"frame": 0, "pose_landmarks": [[LANDMARK] * 33]}] * 2)),
+    ]),
+    (deeplabcut(), [
+        (f"{TABLE} _table 3", edited(deeplabcut(), "scorer", "points")),
+        (f"{TABLE} _table 4", edited(deeplabcut(), "coords,", "coords,x,")),
+        (f"{TABLE} _table 5", edited(deeplabcut(), "likelihood", "z")),
+        (f"{TABLE} _table 6", deeplabcut((COCO[0], *COCO[:-1]))),
+        (f"{TABLE} _values 1", edited(deeplabcut(), "\n1,", "\n")),
+        (f"{TABLE} _values 2", edited(deeplabcut(), "0.9", "many")),
+    ]),
+    (coco(), [
+        (f"{READERS} _usable 2", js([{"image_id": f, "keypoints": [1e9, 1e9, 0.9, *flat(16)]} for f in range(FRAMES)])),
+        (f"{READERS} _usable 4", js([{"image_id": f, "keypoints": [5, 5, -0.5, *flat(16)]} for f in range(FRAMES)])),
+    ]),
+]  # fmt: skip
 # What is brought, where it is said, and what the sentence advises, done.
 ROWS: dict[str, tuple[Write, str, Write]] = {
     "HDF5": (text("cam.h5", "x"), "keypoints/readers.py read_keypoints 1", deeplabcut()),
@@ -128,6 +233,11 @@ ROWS: dict[str, tuple[Write, str, Write]] = {
         "keypoints/picture_content.py _points 1",
         js([[{"keypoints": dict(zip(("x", "y", "visible"), person().T.tolist()))}] for _ in range(FRAMES)]),
     ),
+    **{
+        f"{place} {number}": (damaged, place, good)
+        for good, several in MORE
+        for number, (place, damaged) in enumerate(several)
+    },
     "landmarks in pixels": (mediapipe({"x": 640.0, "y": 300.0}), "keypoints/mediapipe.py _points 3", mediapipe()),
 }  # fmt: skip
 
