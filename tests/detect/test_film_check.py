@@ -135,6 +135,22 @@ def test_frames_of_another_camera_are_named(takes: list[Take], part: slice) -> N
     assert abs(last - part.stop) <= 6
 
 
+@pytest.mark.parametrize("at", [26, 36, 50])
+@pytest.mark.parametrize("lacking", ["keypoints", "film"])
+def test_frames_that_one_of_the_two_lacks_are_named_with_their_place(takes: list[Take], lacking: str, at: int) -> None:
+    own, seen = takes[0], takes[0].recorded
+    if lacking == "film":
+        own = replace(own, pictures=own.pictures[:at] + own.pictures[at + 5 :])
+    else:
+        seen = seen.only((seen.frame < at) | (seen.frame >= at + 5))
+        seen = replace(seen, pictures=seen.pictures[:-5], frame=seen.frame - 5 * (seen.frame > at))
+    (sentence,) = verdict(own, seen, takes[1]).notes
+    place, count = map(int, re.findall(r"from about frame (\d+) .* about (\d) frames there", sentence)[0])
+    assert f"{lacking} lack" in sentence
+    assert abs(place - at) <= 6
+    assert abs(count - 5) <= 1
+
+
 def test_an_empty_room_is_no_fault(takes: list[Take]) -> None:
     own = takes[0]
     nobody = own.recorded.only(np.zeros(len(own.recorded.frame), bool))

@@ -21,15 +21,24 @@ from studiorecon.keypoints.layout_choice import choose_layout
 from studiorecon.keypoints.layouts import LAYOUTS
 from studiorecon.keypoints.motion import Motion
 from studiorecon.keypoints.motion_agreement import (
+    MAX_MISSING,
+    MIN_SHIFT,
     Movers,
     Score,
     best_score,
     is_frozen,
     moving_keypoints,
     score_reading,
+    shift_change,
 )
 from studiorecon.keypoints.numbering import Numbering, Numberings
-from studiorecon.keypoints.unmatched import upside_down, without_match, without_motion, without_people
+from studiorecon.keypoints.unmatched import (
+    upside_down,
+    with_missing_frames,
+    without_match,
+    without_motion,
+    without_people,
+)
 from studiorecon.scene.recorded_keypoints import RecordedKeypoints
 
 if TYPE_CHECKING:
@@ -45,8 +54,6 @@ BORNE_OUT = 0.3
 # No reading fits: lift is no better than chance although people move in keypoints and film.
 _CHANCE, _CHANCE_SIGMAS, _CHANCE_POINTS = 0.1, 2.0, 200
 _SHIFTS = 60
-# A smaller shift is a detector's smoothing.
-_MIN_SHIFT = 2
 # Detectors guess somewhat beyond the border; more keypoints than this share beyond it are from another picture.
 _OUTSIDE = 0.5
 # Shares may be somewhat beyond the border too, and slightly below 0; pixels of a film are far larger.
@@ -235,7 +242,7 @@ class _Judge:
         index, top = best_score(enumerate(h.score for h in tried))
         right = _clearly_better(top, now.score)
         found = tried[index]
-        return found if right and (not found.shift or abs(found.shift) >= _MIN_SHIFT) else None
+        return found if right and (not found.shift or abs(found.shift) >= MIN_SHIFT) else None
 
     def taken(self, right: _Hypothesis, now: _Hypothesis) -> tuple[_Hypothesis, str]:
         """The hypothesis to use, and a refusal where it may swap left and right or is not exact; "" otherwise."""
@@ -315,7 +322,12 @@ class _Judge:
             shown = apply_reading(now.reading.film_from_recorded, seen.keypoints[..., :2])
             share = len(self.moving.person) / max(len(_points(seen.keypoints)), 1)
             return without_motion(camera, shown[..., 1] / self.film.wh[1], seen.keypoints, share)
-        partly = without_match(camera, motion.frame, now.score.per_frame, _CHANCE, _LIFT)
+        partly: list[str] = []
+        if now.score.enough:
+            shifts = range(now.shift - MAX_MISSING - 1, now.shift + MAX_MISSING + 2)
+            lift = {s: self.under(now.reading, now.numbering, s).score.per_frame for s in shifts}
+            partly = with_missing_frames(camera, shift_change(motion.frame, lift, now.shift), _NUMBER_SIGMAS)
+        partly = partly or without_match(camera, motion.frame, now.score.per_frame, _CHANCE, _LIFT)
         if partly or not (now.score.enough and now.score.lift > _LIFT):
             return partly
         recorded = now.numbering.frame_of - now.shift

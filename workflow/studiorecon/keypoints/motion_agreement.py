@@ -9,7 +9,7 @@ person who does not move gives no evidence and no verdict.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
@@ -28,6 +28,10 @@ _SURE, _BODY_POINTS = 0.3, 26
 _USUAL_SHARE = 0.4
 # With fewer keypoints or frames than this a score decides nothing.
 MIN_POINTS, MIN_FRAMES = 60, 8
+# Frames that may be missing at one place; after a longer gap keypoints match no better than those of another take.
+MAX_MISSING = 15
+# A smaller shift is a detector's smoothing; so is this one of all frames.
+MIN_SHIFT, _SMOOTHING = 2, 1
 # Side of the grid on which bodies are drawn to detect who moves.
 _GRID = 64
 
@@ -128,6 +132,41 @@ def score_reading(
     if not len(sample):
         return Score(0.0, 0.0, per_frame, 0)
     return Score(float(np.nanmean(per_frame)), float(here[:, 0].mean()), per_frame, len(sample))
+
+
+@dataclass(frozen=True)
+class ShiftChange:
+    """From film frame ``frame`` on keypoints fit the film ``frames`` frames later than before; ``sigmas``: by how many
+    standard deviations each part prefers its own shift."""
+
+    frame: int
+    frames: int
+    sigmas: float
+
+
+def shift_change(
+    frame: Integer[np.ndarray, " S"], lift: Mapping[int, Float[np.ndarray, " S"]], usual: int
+) -> ShiftChange | None:
+    """The likeliest change of shift within a film; None where it is too short.
+
+    ``lift``: of every shift within ``MAX_MISSING`` + 1 of ``usual``, the best one for all frames, per examined frame;
+    unknown ones are NaN and count as chance.
+    """
+    cuts = np.arange(MIN_FRAMES, len(frame) - MIN_FRAMES + 1)
+    best: tuple[float, ShiftChange] | None = None
+    for main in range(usual - _SMOOTHING, usual + _SMOOTHING + 1):
+        for missing in (m for m in range(-MAX_MISSING, MAX_MISSING + 1) if len(cuts) and abs(m) >= MIN_SHIFT):
+            gain = lift[main + missing] - lift[main]
+            before = np.nan_to_num(gain).cumsum()
+            of_all = float(np.nansum(lift[main] - lift[usual]))
+            for later, total in ((True, before[-1] - before[cuts - 1]), (False, before[cuts - 1])):
+                cut = int(cuts[np.argmax(total)])
+                if best is None or of_all + total.max() > best[0]:
+                    there, rest = (gain[cut:], gain[:cut]) if later else (gain[:cut], gain[cut:])
+                    sigmas = min(_sigmas(there), -_sigmas(rest))
+                    change = ShiftChange(int(frame[cut]), -missing if later else missing, sigmas)
+                    best = of_all + total.max(), change
+    return None if best is None else best[1]
 
 
 def best_score(scores: Iterable[tuple[int, Score]]) -> tuple[int, Score]:

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from studiorecon.keypoints.motion import Motion
-from studiorecon.keypoints.motion_agreement import MIN_FRAMES, is_upside_down
+from studiorecon.keypoints.motion_agreement import MIN_FRAMES, ShiftChange, is_upside_down
 
 if TYPE_CHECKING:
     from jaxtyping import Integer, Num
@@ -98,6 +98,19 @@ def without_match(
     return [
         f"the keypoints of camera {camera} match the motion in its pictures, except in frames {frame[first]}–"
         f"{frame[stop - 1]}: check whether those are of another camera or take"
+    ]
+
+
+def with_missing_frames(camera: str, change: ShiftChange | None, sigmas: float) -> list[str]:
+    """A warning where film or keypoints lack frames at one place, by ``sigmas`` or more."""
+    if change is None or change.sigmas < sigmas:
+        return []
+    lacks = "its keypoints lack" if change.frames > 0 else "the film lacks"
+    return [
+        f"the keypoints of camera {camera} match the motion in its pictures, but from about frame {change.frame} on "
+        f"with {abs(change.frames)} frames' difference: {lacks} about {abs(change.frames)} frames there; bring "
+        f"keypoints of this very film, or use the frames before (frames: {{first: 0, count: {change.frame}}} in "
+        "capture.yaml)"
     ]
 
 
