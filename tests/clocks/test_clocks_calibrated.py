@@ -6,7 +6,6 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -14,12 +13,11 @@ from studiorecon.clocks import offsets
 from studiorecon.clocks.people import people_lags
 from studiorecon.clocks.posterior import Offset, estimate_offsets
 from studiorecon.clocks.timeline import Timeline
-from studiorecon.footage.source import FootageSource
 from studiorecon.geometry.bundle import move_camera
 from studiorecon.geometry.rotations import exp
 from studiorecon.scene.camera import Camera, Lens
 from studiorecon.scene.clocks import Clock
-from studiorecon.scene.people import Detections, write_detections
+from studiorecon.scene.people import Detections
 
 from tests.made.cameras import detect, ring, walk
 from tests.made.silent import Rough, rough
@@ -117,16 +115,11 @@ def test_a_camera_of_another_take_is_not_told_and_does_not_shift_the_others() ->
     assert np.abs(errors_s(found, take)[:4]).max() < 0.025
 
 
-def test_the_step_reads_people_under_the_calibration(tmp_path: Path) -> None:
+def test_the_step_uses_people_under_the_calibration() -> None:
     take = rough(2)
     names = [clock.camera for clock in take.clocks]
-    paths = [tmp_path / f"{name}.npz" for name in names]
-    for seen, path in zip(take.seen, paths, strict=True):
-        write_detections(path, seen)
-    sources = [FootageSource(path, (640, 360), 30.0, 120, 0, (), ()) for path in paths]
-    known = {name: lens for name, (lens, _) in take.lenses.items()}
     lines = [Timeline(30.0, 120, 0.0)] * 4
-    verdicts, reported, reference = offsets.estimate_clocks(names, sources, lines, [], {}, paths, known)
+    verdicts, reported, reference = offsets.estimate_clocks(names, lines, [], {}, take.seen, take.lenses)
     off_s = np.array([v.offset_s for v in verdicts]) - (take.start_s - take.start_s[reference])
     assert np.abs(off_s).max() < 0.02
     assert all("people" in f["sentence"] for c, f in enumerate(reported) if c != reference)

@@ -35,11 +35,10 @@ def verdicts(monkeypatch: pytest.MonkeyPatch, late_s: Mapping[int, float], from_
     """What is made of such pictures where people tell the clocks of the first ``told_by_people`` cameras."""
     in_step = [Lag(Source("people"), 0, c, late_s.get(c, 0.0), 0.001, 0.005) for c in range(1, from_people)]
     monkeypatch.setattr(offsets.people, "people_lags", lambda *_: (in_step, {}))
-    source = type("Source", (), {"wh": (640, 360)})()
     lines = [Timeline(FPS, round(SECONDS * FPS), 0.0)] * CAMERAS
     names = [f"cam{c}" for c in range(CAMERAS)]
     moved, still = motion_lags(circling(late_s), [clock_as_filmed(c, line) for c, line in zip(names, lines)], FPS)
-    return offsets.estimate_clocks(names, [source] * CAMERAS, lines, moved, {"motion": still}, [], {})[0]  # type: ignore[list-item]
+    return offsets.estimate_clocks(names, lines, moved, {"motion": still}, [], {})[0]
 
 
 def test_who_walks_in_a_circle_does_not_shift_the_cameras_that_see_nobody(monkeypatch: pytest.MonkeyPatch) -> None:

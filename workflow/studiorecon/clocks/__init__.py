@@ -5,5 +5,5 @@ Reads footage and raw detections, writes ``clocks.json``. The step ``moments`` r
 moments in which people are looked for first; the step ``offsets`` adds people. Each source of evidence is a module
 that returns lags between cameras with their likelihoods: ``sound``, ``people`` (by ``epipolar`` geometry, near that of
 a user's calibration if there is one) and ``motion``. ``posterior`` maximises all of them together, ``timeline`` holds
-the times of frames.
+the times of frames, ``stretches`` names films that lack frames in their middle.
 """

@@ -26,6 +26,7 @@ from studiorecon.clocks.posterior import (
     estimate_offsets,
     read_lags,
 )
+from studiorecon.clocks.stretches import lost_frames_notes
 from studiorecon.clocks.timeline import Timeline, clock_as_filmed, common_moments, read_timeline
 from studiorecon.configuration.setting import setting
 from studiorecon.errors import UserError
@@ -33,10 +34,9 @@ from studiorecon.footage.duplicate_films import compare_views
 from studiorecon.footage.source import FootageSource, PictureRate, open_source, timing_irregularities
 from studiorecon.keypoints.film_colours import colour_notes
 from studiorecon.progress import say, warn
-from studiorecon.scene.camera import Lens
 from studiorecon.scene.clocks import Clock, write_clocks
 from studiorecon.scene.files import write_json
-from studiorecon.scene.people import read_detections
+from studiorecon.scene.people import Detections, read_detections
 from studiorecon.signature import Written
 
 # A smaller offset, frames, is not worth resampling; a smaller drift over the whole clip counts as none.
@@ -123,24 +123,21 @@ def signed(seconds: float) -> str:
 
 def estimate_clocks(
     cameras: Sequence[str],
-    sources: Sequence[FootageSource | None],
     lines: Sequence[Timeline],
     signals: Sequence[Lag],
     without: Mapping[str, dict[int, str]],
-    sightings: Sequence[Path],
-    lenses: Mapping[str, Lens],
+    seen: Sequence[Detections],
+    lenses: people.Lenses,
 ) -> tuple[list[ClockVerdict], list[dict[str, Any]], int]:
     """A verdict with its evidence for every camera, and the index of the reference.
 
     ``signals`` are the lags by sound and motion, ``without`` the reasons of cameras without one, by source; ``lenses``
-    may be given.
+    may be given, ``seen`` are people by frames of the films.
     """
     clocks = [clock_as_filmed(c, line) for c, line in zip(cameras, lines)]
     rate, count = float(np.median([c.fps for c in clocks])), len(cameras)
     why = dict(without)
-    sized = {c: (lenses[c], source.wh) for c, source in zip(cameras, sources) if source and c in lenses}
-    seen = [read_detections(p) for p in sightings]
-    met, why["people"] = people.people_lags(seen, clocks, rate, sized)
+    met, why["people"] = people.people_lags(seen, clocks, rate, lenses)
     lags = [*signals, *met]
     reference = choose_reference(lags, count)
     together = estimate_offsets(lags, count, reference)
@@ -230,10 +227,16 @@ def run(
                 "every frame is taken at its own time"
             )
     found: list[dict[str, Any]] = []
+    films = {camera: source for camera, source in zip(cameras, opened) if source is not None}
+    seen = [read_detections(path) for path in sightings]
+    lost: list[str] = []
     given: Mapping[str, float] = json.loads(starts)
     if settings.sync != "never" and len(cameras) > 1:
-        lenses = read_lenses(calibration[0]) if calibration else {}
-        verdicts, found, reference = estimate_clocks(cameras, opened, lines, *read_lags(lags), sightings, lenses)
+        read = read_lenses(calibration[0]) if calibration else {}
+        lenses = {c: (read[c], film.wh) for c, film in films.items() if c in read}
+        verdicts, found, reference = estimate_clocks(cameras, lines, *read_lags(lags), seen, lenses)
+        in_step = [f["camera"] for f in found if f["kind"] in ("reference", "in step")]
+        lost = lost_frames_notes(seen, made, float(np.median([c.fps for c in made])), lenses, in_step)
         # Cameras that were not started together: then an unknown clock matters.
         apart = any(f["kind"] == "found" for f in found)
         for f in found:
@@ -250,9 +253,8 @@ def run(
         unsure = found if settings.sync == "auto" else [{"camera": c, "kind": "undetermined"} for c in cameras]
         names, promised = [f"{s.parent.name}/{s.name}" for s in sources], [s.announced for s in opened if s]
         common = replace(common, refusal=different_lengths_note(made, names, unsure, promised))
-    films = {camera: source for camera, source in zip(cameras, opened) if source is not None}
     twice, moved = compare_views(films)
-    unlike = [*colour_notes(films, map(read_detections, sightings)), *moved]
+    unlike = [*colour_notes(films, seen), *moved, *lost]
     for sentence in unlike:
         warn(sentence)
     common = replace(common, refusal=twice or common.refusal)

@@ -42,7 +42,7 @@ _APART_S = 0.2
 _WINDOW_S, _STEP_S = 1.0, 0.5
 _REACH_S = 0.05
 _FINER = 4
-_DRIFT_PPM, _DRIFT_STEPS = 200.0, 41
+MAX_DRIFT_PPM, _DRIFT_STEPS = 200.0, 41
 # The peak must be this many times the scatter of the rest, and this many times the next one beyond a room's echoes.
 _MIN_Z, _MIN_RATIO = 8.0, 1.5
 _ECHO_S = 0.02
@@ -172,7 +172,7 @@ def _fine(first: np.ndarray, second: np.ndarray, lag_s: float) -> tuple[float, f
         return 0.0, 0.0, _nothing("too little in common")
     times, correlation, weight = _windows(a[:length], b[:length])
     middle = float((weight * times).sum() / weight.sum())
-    tried = np.linspace(-_DRIFT_PPM, _DRIFT_PPM, _DRIFT_STEPS) if length > 10 * RATE_HZ else np.zeros(1)
+    tried = np.linspace(-MAX_DRIFT_PPM, MAX_DRIFT_PPM, _DRIFT_STEPS) if length > 10 * RATE_HZ else np.zeros(1)
     lags = np.arange(correlation.shape[1])
     step = 1 / (RATE_HZ * _FINER)
     summed = np.zeros((len(tried), correlation.shape[1]))
@@ -180,7 +180,7 @@ def _fine(first: np.ndarray, second: np.ndarray, lag_s: float) -> tuple[float, f
         for moved, curve, w in zip(np.rint(1e-6 * ppm * (times - middle) / step).astype(int), correlation, weight):
             summed[row] += w * np.roll(curve, -moved)
         # Crystals are within tens of millionths: of drifts that fit equally, the least counts.
-        summed[row] *= 1 - 0.05 * (ppm / _DRIFT_PPM) ** 2
+        summed[row] *= 1 - 0.05 * (ppm / MAX_DRIFT_PPM) ** 2
     scatter = 1.4826 * np.median(np.abs(summed - np.median(summed))) + 1e-12
     row, best = (int(i) for i in np.unravel_index(int(np.argmax(summed)), summed.shape))
     beyond = np.abs(lags - best) * step > _ECHO_S
