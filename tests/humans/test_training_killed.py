@@ -15,7 +15,7 @@ from collections.abc import Callable, Mapping
 from pathlib import Path
 
 import pytest
-from studiorecon.humans.training import Rates
+from studiorecon.humans.train_settings import Rates
 
 from tests.made.background import cameras, capture
 from tests.made.humans import Made, body, made

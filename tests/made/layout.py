@@ -9,7 +9,7 @@ from pathlib import Path
 ROOT = Path(__file__).resolve().parents[2]
 
 # The doors to torch inside the package, opened only by ``device: cuda``.
-ON_REQUEST = {"splatting.cuda.tensor_set"}
+ON_REQUEST = {"splatting.cuda.tensor_set", "humans.tensor_person"}
 
 
 def rules() -> list[tuple[str, str, str]]:

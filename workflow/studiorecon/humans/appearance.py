@@ -4,14 +4,14 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
-from typing import TYPE_CHECKING, Literal
+from dataclasses import asdict, dataclass
+from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 
 from studiorecon.body.avatar.temporal import TemporalNetwork, with_residuals
 from studiorecon.configuration.setting import setting
-from studiorecon.scene.decisions import Decision
+from studiorecon.scene.decisions import Decision, from_entry
 from studiorecon.splatting.train.optimiser import Adam
 
 if TYPE_CHECKING:
@@ -98,15 +98,19 @@ class Appearance:
             slope = self.network.gradient(by_colour[self.seen, 0], by_logit[self.seen])
             self._adam.step({"network": slope}, {"network": self.settings.rate})
 
+    def facts(self) -> dict[str, Any]:
+        """Whether the network is used, and the decision, for a checkpoint."""
+        return {"active": self._active, "decision": asdict(self.decision) if self.decision else None}
+
+    def resume_facts(self, facts: Mapping[str, Any]) -> None:
+        """Restore ``facts``."""
+        self._active, decision = facts["active"], facts["decision"]
+        self.decision = from_entry(decision) if decision else None
+
     def arrays(self) -> dict[str, Shaped[np.ndarray, " ..."]]:
         """The network and Adam's state, for a checkpoint."""
-        return {
-            f"network.{name}": value
-            for name, value in (self._adam.arrays() | {"active": np.array(self._active)}).items()
-        }
+        return {f"network.{name}": value for name, value in self._adam.arrays().items()}
 
-    def resume(self, held: Mapping[str, Shaped[np.ndarray, " ..."]], decision: Decision | None) -> None:
+    def resume(self, held: Mapping[str, Shaped[np.ndarray, " ..."]]) -> None:
         """Restore ``arrays``, in place."""
-        own = {name.removeprefix("network."): value for name, value in held.items() if name.startswith("network.")}
-        self._active, self.decision = bool(own.pop("active")), decision
-        self._adam.resume(own)
+        self._adam.resume({n.removeprefix("network."): v for n, v in held.items() if n.startswith("network.")})

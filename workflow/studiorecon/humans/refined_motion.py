@@ -19,7 +19,7 @@ from studiorecon.geometry import rotations
 if TYPE_CHECKING:
     from jaxtyping import Float, Integer, Shaped
 
-_FIRST_DECAY, _SECOND_DECAY = 0.9, 0.99
+FIRST_DECAY, SECOND_DECAY = 0.9, 0.99
 # Joints whose turn moves almost no surface, or is invisible in pictures: they keep the fitted pose.
 FIXED_JOINTS = (10, 11, 15, *range(22, 54))
 """Feet (toes), head, hands and fingers."""
@@ -44,7 +44,7 @@ class RefinedMotion:
         parents: Integer[np.ndarray, " J"],
         held: Sequence[int] = FIXED_JOINTS,
     ) -> None:
-        self._held = [joint for joint in held if joint < len(parents)]
+        self.held = [joint for joint in held if joint < len(parents)]
         self.local = rotations.exp(np.asarray(poses, np.float64).reshape(len(poses), -1, 3))
         self.trans_m = np.asarray(trans_m, np.float64).copy()
         self.rest_joints_m, self.parents = rest_joints_m, parents
@@ -108,13 +108,13 @@ class RefinedMotion:
     def step(self, frame: int, gradient: Float[np.ndarray, "J+1 3"], rate: float) -> None:
         """Do one step of Adam on one frame: ``rate`` radians per joint, metres for the pelvis; others stay (O04)."""
         gradient = np.where(np.isfinite(gradient), gradient, 0.0)
-        gradient[self._held] = 0.0
+        gradient[self.held] = 0.0
         self._steps[frame] += 1
         first, second = self._first[frame], self._second[frame]
-        first += (1 - _FIRST_DECAY) * (gradient - first)
-        second += (1 - _SECOND_DECAY) * (gradient**2 - second)
+        first += (1 - FIRST_DECAY) * (gradient - first)
+        second += (1 - SECOND_DECAY) * (gradient**2 - second)
         count = self._steps[frame]
-        change = -rate * (first / (1 - _FIRST_DECAY**count)) / (np.sqrt(second / (1 - _SECOND_DECAY**count)) + 1e-12)
+        change = -rate * (first / (1 - FIRST_DECAY**count)) / (np.sqrt(second / (1 - SECOND_DECAY**count)) + 1e-12)
         self.local[frame] = rotations.project_to_so3(rotations.exp(change[:-1]) @ self.local[frame])
         self.trans_m[frame] += change[-1]
 

@@ -36,8 +36,8 @@ from studiorecon.humans.surface_samples import (
     mirror_indices,
     surface_neighbours,
 )
-from studiorecon.humans.train_settings import Settings
-from studiorecon.humans.training import Losses, PersonInTraining
+from studiorecon.humans.train_settings import Losses, Settings
+from studiorecon.humans.training import PersonInTraining
 from studiorecon.progress import say, warn
 from studiorecon.scene.capture import read_manifest
 from studiorecon.scene.decisions import Decision
@@ -122,8 +122,9 @@ def run(
     subject = _training_subject(settings, rest, losses, crops, threads, rng, appearance, device)
     terms = active_terms(losses, _network(settings, lpips, threads, device))
     train(subject, terms, (0, settings.iterations), rng, label=person, checkpoint=checkpoint, previews=working)
-    if subject.adam.refused:
-        warn(f"{person}: {subject.adam.refused} gradient entries were not finite and were skipped")
+    subject.finish()
+    if subject.refused:
+        warn(f"{person}: {subject.refused} gradient entries were not finite and were skipped")
     write_avatar(gaussians, avatar, _avatar(settings, fitted, body_model, rest, subject, appearance), trained_from)
     store_result(gaussians, avatar, working)
     checkpoint.remove()
@@ -188,7 +189,12 @@ def _training_subject(
     device: str,
 ) -> PersonInTraining:
     """The person as the subject of ``train``."""
-    return PersonInTraining(
+    kind = PersonInTraining
+    if device == "cuda":
+        from studiorecon.humans.tensor_person import TensorPerson
+
+        kind = TensorPerson
+    return kind(
         rest.start,
         rest.samples.spacing_m,
         rest.posing,
@@ -203,7 +209,6 @@ def _training_subject(
         threads,
         rng,
         appearance,
-        device,
         settings.densify,
         settings.additions,
         rest.grid,

@@ -11,25 +11,22 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from contextlib import AbstractContextManager
-from dataclasses import asdict, dataclass
-from typing import TYPE_CHECKING, Any, Literal
+from typing import TYPE_CHECKING, Any
 
 import numba
 import numpy as np
 
 from studiorecon.body.avatar.posing import Posing
 from studiorecon.body.avatar.weight_grid import WeightGrid, all_bone_weights
-from studiorecon.configuration.setting import setting
 from studiorecon.humans.additions import Additions
 from studiorecon.humans.appearance import Appearance
 from studiorecon.humans.crops import IGNORED, PERSON, Crop
 from studiorecon.humans.refined_motion import RefinedMotion
-from studiorecon.scene.decisions import from_entry
+from studiorecon.humans.train_settings import GaussianLimits, Growing, Losses, Rates
 from studiorecon.scene.gaussians import Gaussians
-from studiorecon.splatting.device import rasteriser as rasteriser_on
+from studiorecon.splatting.cpu.rasterise import Rasteriser
 from studiorecon.splatting.train.density import grow
 from studiorecon.splatting.train.optimiser import Adam
-from studiorecon.splatting.train.perceptual import PerceptualSettings
 from studiorecon.splatting.train.targets import Target
 from studiorecon.splatting.train.terms import PlaneView
 from studiorecon.splatting.train.trainer import Preview
@@ -37,102 +34,7 @@ from studiorecon.splatting.train.trainer import Preview
 if TYPE_CHECKING:
     from jaxtyping import Float, Integer, Num, Shaped
 
-_GREY = np.full(3, 0.5)
-
-
-@dataclass(frozen=True)
-class Losses:
-    """Weights of a person's terms; ``surface`` ties Gaussians to the body, ``pose`` poses to their neighbours in
-    time."""
-
-    l1: float = 0.8
-    ssim: float = 0.2
-    lpips: PerceptualSettings = setting(PerceptualSettings(), "The perceptual term.")
-    mask: float = setting(0.1, "L1 on the silhouette.", minimum=0, paper="0.01, appendix D; U50", paper_value=0.01)
-    density: float = setting(
-        0.0, "Pull of rendered alpha to 0 or 1.", minimum=0, paper="0.1, appendix D; U13", paper_value=0.1
-    )
-    surface: float = setting(
-        0.01, "Pull of Gaussians to their start on the body.", minimum=0, paper="none, appendix D", paper_value=0.0
-    )
-    pose: float = setting(
-        0.05,
-        "Weight of smooth poses, at 30 frames per second; other rates are scaled to equal speeds.",
-        minimum=0,
-        paper="50, appendix D; U51",
-        paper_value=50.0,
-    )
-
-
-@dataclass(frozen=True)
-class Rates:
-    """Learning rates."""
-
-    position_m: float = setting(
-        0.0005, "Step size of positions at the start.", unit="m", above=0, paper="1e-3, appendix D", paper_value=1e-3
-    )
-    position_end_m: float = setting(
-        5e-06, "Step size of positions at the end.", unit="m", above=0, paper="2e-6, appendix D", paper_value=2e-6
-    )
-    rotation: float = 0.001
-    scale: float = 0.005
-    opacity: float = 0.02
-    colour: float = 0.005
-    harmonics: float = 0.00025
-    # For joints; metres for the pelvis.
-    pose_rad: float = 0.0005
-
-    def at(self, done: float) -> dict[str, float]:
-        """The rate of every kind of parameter after a share ``done`` of the iterations."""
-        ends = np.log([self.position_m, self.position_end_m])
-        return {
-            "means": float(np.exp(np.interp(done, [0, 1], ends))),
-            "quaternions": self.rotation,
-            "scales": self.scale,
-            "opacities": self.opacity,
-            "colour": self.colour,
-            "harmonics": self.harmonics,
-        }
-
-
-@dataclass(frozen=True)
-class GaussianLimits:
-    """Limits of a Gaussian: sigmas as shares of the spacing, distance from the surface in metres."""
-
-    smallest: float = 0.08
-    largest: float = 1.6
-    surface_m: float = 0.03
-
-
-@dataclass(frozen=True)
-class Growing:
-    """When Gaussians are added to a person.
-
-    Attributes:
-        until, every: last step that densifies; steps between densifications.
-        prune_opacity: fainter ones are removed.
-        gradient: mean screen gradient, in half widths of the crop, above which a Gaussian is cloned or split.
-        scale: share of the body's height above which one is split rather than cloned.
-    """
-
-    use: Literal["none", "gradient"] = setting(
-        "none",
-        "none; gradient = clone and split where the picture needs it.",
-        paper="densified, appendix D",
-        paper_value="gradient",
-    )
-    until: int = 1500
-    every: int = 500
-    gradient: float = 0.0002
-    prune_opacity: float = 0.005
-    scale: float = 0.01
-    cap: int = setting(
-        100000, "Most Gaussians per person; 0 = no limit.", minimum=0, paper="no limit, appendix D", paper_value=0
-    )
-
-    def densifies(self, done: int, iterations: int) -> bool:
-        """Whether densification continues after ``done`` steps; later Gaussians would stay untrained."""
-        return self.use != "none" and done <= self.until and done < iterations
+GREY = np.full(3, 0.5)
 
 
 def training_target(crop: Crop, behind_rgb: Num[np.ndarray, " 3"]) -> Target:
@@ -185,7 +87,6 @@ class PersonInTraining:
         threads: int,
         rng: np.random.Generator,
         appearance: Appearance | None = None,
-        device: str = "cpu",
         growing: Growing | None = None,
         additions: Additions | None = None,
         grid: WeightGrid | None = None,
@@ -209,13 +110,21 @@ class PersonInTraining:
         self._scale_range = np.log(spacing_m * limits.smallest), np.log(spacing_m * limits.largest)
         self._posing, self._motion, self._appearance, self._crops = posing, motion, appearance, crops
         self._iterations, self._pose_from, self._losses, self._rates = iterations, pose_from, losses, rates
-        self._rng, self._rasteriser = rng, rasteriser_on(device, near_m=near_m, threads=threads)
+        self._near_m, self._rng, self._rasteriser = near_m, rng, Rasteriser(near_m=near_m, threads=threads)
 
     def gaussians(self) -> Gaussians:
         """The current canonical Gaussians."""
         own = self._own
         sh = np.concatenate([own["colour"], own["harmonics"]], axis=1)
         return Gaussians(own["means"], own["quaternions"], own["scales"], own["opacities"], sh)
+
+    @property
+    def refused(self) -> int:
+        """Gradient entries so far that were not finite."""
+        return self.adam.refused
+
+    def finish(self) -> None:
+        """Does nothing: motion and temporal network are moved in place."""
 
     @property
     def bones(self) -> Integer[np.ndarray, "N K"]:
@@ -238,14 +147,18 @@ class PersonInTraining:
 
     def draw(self, iteration: int) -> PlaneView:
         """The view of a crop, posed and rendered over a random colour, or black."""
-        self._crop = self._crops[int(self._rng.integers(len(self._crops)))]
-        behind = self._rng.random(3) if self._additions.background == "random" else np.zeros(3)
+        _, behind = self._next_crop()
         planes = self._rasteriser.forward_planes(self._posed(self._crop), self._crop.camera, behind.tolist())
         return PlaneView(training_target(self._crop, behind), iteration, self._rng, planes, np.zeros_like(planes))
 
+    def _next_crop(self) -> tuple[Crop, Float[np.ndarray, " 3"]]:
+        """The next crop, and the colour behind the person."""
+        self._crop = self._crops[int(self._rng.integers(len(self._crops)))]
+        return self._crop, self._rng.random(3) if self._additions.background == "random" else np.zeros(3)
+
     def _shown(self, crop: Crop) -> np.ndarray:
         """(h, w, 3) render of the person over grey."""
-        return self._rasteriser.forward(self._posed(crop), crop.camera, _GREY.tolist()).rgb
+        return self._rasteriser.forward(self._posed(crop), crop.camera, GREY.tolist()).rgb
 
     def _posed(self, crop: Crop) -> Gaussians:
         own = self._own
@@ -296,11 +209,7 @@ class PersonInTraining:
         grown = grow(
             self.gaussians(),
             self._watched[0] / np.maximum(self._watched[1], 1),
-            threshold=growing.gradient,
-            large_m=growing.scale * self._height_m,
-            prune_opacity=growing.prune_opacity,
-            cap=growing.cap,
-            rng=self._rng,
+            **self._growth(),
         )
         g = grown.gaussians
         self._own = {
@@ -317,6 +226,17 @@ class PersonInTraining:
         self.adam = self.adam.regrown(self._own, grown.parent, grown.fresh)
         self._descend(self.source[grown.parent])
 
+    def _growth(self) -> dict[str, Any]:
+        """How ``density.grow`` adds Gaussians to this person."""
+        growing = self._growing
+        return {
+            "threshold": growing.gradient,
+            "large_m": growing.scale * self._height_m,
+            "prune_opacity": growing.prune_opacity,
+            "cap": growing.cap,
+            "rng": self._rng,
+        }
+
     def _descend(self, source: np.ndarray) -> None:
         """Copy to new Gaussians all arrays of the ones that they descend from."""
         self.source, self._start_m = source, self._first_m[source]
@@ -332,7 +252,7 @@ class PersonInTraining:
     def preview(self) -> Preview:
         """A preview of the middle crop, over grey."""
         crop = self._crops[len(self._crops) // 2]
-        name, target = f"frame {crop.frame} of {crop.camera.name}", training_target(crop, _GREY)
+        name, target = f"frame {crop.frame} of {crop.camera.name}", training_target(crop, GREY)
         return Preview(len(self._start_m), name, self._shown(crop), target.rgb, target.used)
 
     def snapshot(self) -> tuple[dict[str, Shaped[np.ndarray, " ..."]], dict[str, Any]]:
@@ -340,8 +260,7 @@ class PersonInTraining:
         arrays, facts = {**self.adam.arrays(), **self._motion.arrays()}, {}
         arrays |= {"growth.source": self.source, "growth.watched": self._watched}
         if (appearance := self._appearance) is not None:
-            facts["decision"] = asdict(appearance.decision) if appearance.decision else None
-            arrays |= appearance.arrays()
+            facts, arrays = appearance.facts(), arrays | appearance.arrays()
         return arrays, facts
 
     def resume(self, arrays: dict[str, Shaped[np.ndarray, " ..."]], facts: dict[str, Any]) -> None:
@@ -355,7 +274,8 @@ class PersonInTraining:
         self.adam.resume(arrays)
         self._motion.resume(arrays)
         if self._appearance is not None:
-            self._appearance.resume(arrays, from_entry(facts["decision"]) if facts["decision"] else None)
+            self._appearance.resume(arrays)
+            self._appearance.resume_facts(facts)
 
 
 def crop_psnr_db(planes: Float[np.ndarray, "5 h w"], crop: Crop) -> float:

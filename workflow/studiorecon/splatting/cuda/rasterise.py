@@ -44,7 +44,7 @@ from studiorecon.splatting.rendering import (
 
 if TYPE_CHECKING:
     import torch
-    from jaxtyping import Float, Num
+    from jaxtyping import Num
 
 FIELDS = ("means_m", "quaternions", "log_scales", "logit_opacities", "sh")
 Rasterization = Callable[..., tuple[Any, Any, dict[str, Any]]]
@@ -289,19 +289,6 @@ class GsplatRasteriser:
         screen = np.linalg.norm(_gradient(drawn.centres)[0], axis=1)
         gradients = [*(found[name] for name in FIELDS), screen.astype(np.float32), _gradient(self._background)]
         return GaussianGradients(*gradients)
-
-    def forward_planes(
-        self, gaussians: Gaussians, camera: Camera, background_rgb: Sequence[float] = (0.0, 0.0, 0.0)
-    ) -> Float[np.ndarray, "5 H W"]:
-        """As ``Rasteriser.forward_planes``; the depth sum is not filled."""
-        drawn = self.forward(gaussians, camera, background_rgb)
-        planes = np.zeros((5, *drawn.alpha.shape), np.float32)
-        planes[:3], planes[4] = drawn.rgb.transpose(2, 0, 1), 1 - drawn.alpha
-        return planes
-
-    def backward_planes(self, plane_gradients: Float[np.ndarray, "5 H W"]) -> GaussianGradients:
-        """As ``Rasteriser.backward_planes``, without depth."""
-        return self.backward(plane_gradients[:3].transpose(1, 2, 0), plane_gradients[4])
 
 
 def _array(image: torch.Tensor) -> np.ndarray:

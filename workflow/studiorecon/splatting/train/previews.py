@@ -5,9 +5,9 @@ from __future__ import annotations
 
 import contextlib
 import time
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, SupportsFloat
 
 import numpy as np
 
@@ -30,22 +30,25 @@ class Feedback:
     """Losses and PSNRs of every iteration so far, restored in a resumed run, and their reports."""
 
     def __init__(self, label: str, first: int, last: int, previews: Path | None) -> None:
-        self.losses: list[float] = []
-        self.psnrs_db: list[float] = []
+        self.losses: list[SupportsFloat] = []
+        self.psnrs_db: list[SupportsFloat] = []
         self._label, self._first, self._last, self._previews = label, first, last, previews
         self._tenth = max(1, (last - first) // 10)
         self._next_s = time.monotonic() + _MIN_EVERY_S
 
     def record(self) -> dict[str, Float[np.ndarray, " I"]]:
         """The values added so far, for a checkpoint."""
-        return {"losses": np.array(self.losses), "psnrs_db": np.array(self.psnrs_db)}
+        return {"losses": _numbers(self.losses), "psnrs_db": _numbers(self.psnrs_db)}
 
     def resume(self, record: Mapping[str, Float[np.ndarray, " I"]]) -> None:
         """Restore the ``record`` of an interrupted run."""
         self.losses, self.psnrs_db = record["losses"].tolist(), record["psnrs_db"].tolist()
 
-    def add(self, loss: float, psnr_db: float) -> bool:
-        """Record one iteration; returns True when a tenth is done and ``report_progress`` is due."""
+    def add(self, loss: SupportsFloat, psnr_db: SupportsFloat) -> bool:
+        """Record one iteration; returns True when a tenth is done and ``report_progress`` is due.
+
+        Numbers on a device are read when they are reported, so that no step waits for them.
+        """
         self.losses.append(loss)
         self.psnrs_db.append(psnr_db)
         return len(self.losses) % self._tenth == 0
@@ -70,7 +73,7 @@ class Feedback:
     @property
     def last_psnr_db(self) -> float:
         """Mean PSNR over the last tenth, on the pixels that counted; 0 before the first iteration."""
-        return float(np.mean(self.psnrs_db[-self._tenth :])) if self.psnrs_db else 0.0
+        return float(_numbers(self.psnrs_db[-self._tenth :]).mean()) if self.psnrs_db else 0.0
 
     def report_progress(
         self,
@@ -84,11 +87,11 @@ class Feedback:
 
         PSNR is over the pixels ``used`` of the training ``view``, so it does not measure unseen views.
         """
-        done = len(self.losses)
+        done, loss = len(self.losses), _numbers(self.losses[-self._tenth :]).mean()
         score = psnr(shown, wanted, used)
         on_view = "too few pixels to score" if score is None else f"{score:.2f} dB"
         described = (
-            f"{self._label}: {self._first + done} of {self._last}, loss {np.mean(self.losses[-self._tenth :]):.4f}, "
+            f"{self._label}: {self._first + done} of {self._last}, loss {loss:.4f}, "
             f"PSNR {self.last_psnr_db:.2f} dB on the last picture, {on_view} on training view {view}, {count} "
             "Gaussians"
         )
@@ -101,3 +104,7 @@ class Feedback:
 
             sheet = np.concatenate([to_bytes(np.nan_to_num(wanted)), to_bytes(np.nan_to_num(shown))], axis=1)
             write_png(self._previews / f"preview_{percent:03d}.png", sheet)
+
+
+def _numbers(values: Sequence[SupportsFloat]) -> Float[np.ndarray, " I"]:
+    return np.array([float(value) for value in values])

@@ -80,7 +80,7 @@ class TensorView:
     alpha: torch.Tensor
     wanted_rgb: torch.Tensor
     weight: torch.Tensor
-    key: Hashable
+    key: Hashable | None
     squared_error: torch.Tensor | None = None
 
     def total(self, terms: Sequence[Term]) -> torch.Tensor:
@@ -142,7 +142,7 @@ class L1AndSsim:
         windowed = self._windowed.get(view.key)
         if windowed is None:
             windowed = _apply_window(wanted), _apply_window(wanted * wanted)
-            if self._keeps(sum(part.nbytes for part in windowed)):
+            if view.key is not None and self._keeps(sum(part.nbytes for part in windowed)):
                 self._windowed[view.key] = windowed
         my, yy = windowed
         share = 1 / (3 * used.sum().clamp_min(1))
