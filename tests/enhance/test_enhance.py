@@ -106,7 +106,7 @@ def test_segments_made_beside_one_another_are_the_bytes_of_one_job(
     whole = made("whole")
     assert (read_stack(whole["video"]) != read_stack(options["render"])).any()
     names = list(dict.fromkeys(step.segment for step in read_path(scene / "render/heldout.json")[0]))
-    segments = [made(name, only=name) for name in names]
+    segments = [made(name, only=[name]) for name in names]
     assert [len(read_stack(files["video"])) for files in segments] == [FRAMES, FRAMES]
     before = {"made": [files["video"] for files in segments], "decided_before": [segments[0]["decisions"]]}
     joined = made("joined", **before)

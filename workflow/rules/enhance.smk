@@ -38,7 +38,7 @@ rule enhance_shot:
         code=code("enhance.shot"),
         weights=PLAN.networks.weights if PLAN.networks.enhance else "none",
         device=config["device"] if PLAN.networks.enhance else "cpu",
-        only="",
+        only=[],
     message:
         "Enhance film {wildcards.shot} where the scene needs it: {output.film}"
     shell:

@@ -109,7 +109,7 @@ def run(
     edited: list[Path] | None = None,
     made: list[Path] | None = None,
     decided_before: list[Path] | None = None,
-    only: str = "",
+    only: list[str] | None = None,
     weights: Place = Path("resources/weights"),
     device: str = "cpu",
 ) -> None:
@@ -139,7 +139,7 @@ def run(
         lambda frames: write_watchable(film, frames, source.fps),
     )
     with parallel_writers(writers) as put:
-        for output in progress(outputs, f"pictures of {shot} {only}".rstrip(), total=len(source.steps)):
+        for output in progress(outputs, " ".join(["pictures of", shot, *(only or [])]), total=len(source.steps)):
             put(output, output)
 
 
@@ -151,7 +151,7 @@ def enhance_film(
     instead: Integer[np.ndarray, "h w 3"] | None,
     weights: Path,
     device: str,
-    only: str = "",
+    only: list[str] | None = None,
 ) -> tuple[Iterator[Integer[np.ndarray, "h w 3"]], list[Decision]]:
     """Uint8 pictures of the film, or of its segment ``only``, and the decisions about the whole film; a network gets
     ``instead`` as reference, or the photos."""
@@ -163,7 +163,7 @@ def enhance_film(
 
     search = load_flow(settings.flow, settings.flow_preset, weights, device)
     injection, called = choose_injection(settings, drawn, reference, enhancer, search)
-    drawn = drawn.segment(only) if only else drawn
+    drawn = drawn.segment(only[0]) if only else drawn
     say(f"shot {shot}: injection is {called.verdict}; {called.reason}")
     if isinstance(enhancer, Unchanged) and not injection.history:
         say(f"shot {shot}: the film is the render")
