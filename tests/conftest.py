@@ -53,6 +53,7 @@ FINISHED_STUDIO = {
         "hostile_names",
         "hardships",
         "lost_worker",
+        "window_in_browser",
     )
 }
 

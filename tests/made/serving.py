@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A local server that runs in a thread of the test."""
+"""A local server that runs in a thread of the test, and films to drop into its window."""
 
 from __future__ import annotations
 
@@ -7,8 +7,11 @@ import threading
 import time
 from collections.abc import Iterator
 from contextlib import contextmanager
+from pathlib import Path
 
+import numpy as np
 from starlette.types import ASGIApp
+from studiorecon.footage.video import write_watchable
 from studiorecon.window.serving import LocalServer
 
 
@@ -25,3 +28,11 @@ def served(app: ASGIApp) -> Iterator[LocalServer]:
     finally:
         server.end()
         thread.join()
+
+
+def small_film(path: Path, seed: int = 0) -> bytes:
+    """The bytes of a film of noise in the file ``path``, another one for every ``seed``."""
+    path.parent.mkdir(parents=True, exist_ok=True)
+    pictures = np.random.default_rng(seed).integers(0, 255, (6, 48, 64, 3), np.uint8)
+    write_watchable(path, pictures, 15.0)
+    return path.read_bytes()

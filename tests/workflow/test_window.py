@@ -21,12 +21,11 @@ import pytest
 import yaml
 from studiorecon.cli.run_progress import PROGRESS
 from studiorecon.errors import UserError
-from studiorecon.footage.video import write_watchable
 from studiorecon.scene.files import write_json
 from studiorecon.window import app, people, projects, runs, shots
 from studiorecon.window.serving import LocalServer
 
-from tests.made.serving import served
+from tests.made.serving import served, small_film
 
 HOSTILE = ["a b", "Ä+é", "<b>x", "a&b", "%2e%2e", "it's", '"q"', "$(touch x)", "-rf"]
 
@@ -41,13 +40,6 @@ def home(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
 def window(home: Path) -> Iterator[LocalServer]:
     with served(app.build_app()) as server:
         yield server
-
-
-def film(path: Path, seed: int = 0) -> bytes:
-    path.parent.mkdir(parents=True, exist_ok=True)
-    pictures = np.random.default_rng(seed).integers(0, 255, (6, 48, 64, 3), np.uint8)
-    write_watchable(path, pictures, 15.0)
-    return path.read_bytes()
 
 
 def request(window: LocalServer, path: str, given: Any = None, **headers: str) -> tuple[int, Any]:
@@ -67,7 +59,7 @@ def test_dropped_films_become_a_project_that_is_understood(window: LocalServer, 
     assert request(window, "api/projects")[1]["projects"] == []
     assert request(window, "api/new", {"name": "monday"})[0] == 200
     for number, camera in enumerate(("left", "right")):
-        content = film(home / "elsewhere" / f"{camera}.mp4", number)
+        content = small_film(home / "elsewhere" / f"{camera}.mp4", number)
         assert request(window, f"api/upload/monday?path={camera}.mp4", content)[1] == f"monday/videos/{camera}.mp4"
     request(window, "api/upload/monday?path=notes/read.txt", b"hello")
     request(window, "api/upload/monday?path=spare.toml", b"x = 1")
@@ -84,7 +76,7 @@ def test_dropped_films_become_a_project_that_is_understood(window: LocalServer, 
 def test_a_folder_of_this_machine_is_used_where_it_is(window: LocalServer, home: Path) -> None:
     other = home / "far/away/take7"
     for number, camera in enumerate("ab"):
-        film(other / "videos" / f"{camera}.mp4", number)
+        small_film(other / "videos" / f"{camera}.mp4", number)
     assert request(window, "api/link", {"folder": str(other)}) == (200, "take7")
     assert (home / "take7").is_symlink()
     assert len(request(window, "api/project/take7")[1]["cameras"]) == 2
@@ -185,7 +177,7 @@ def stand_in(home: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     )
     monkeypatch.setattr(runs, "snakemake_command", lambda *_: [sys.executable, str(script), "config/presets/look.yaml"])
     for number, camera in enumerate("ab"):
-        film(home / "take/videos" / f"{camera}.mp4", number)
+        small_film(home / "take/videos" / f"{camera}.mp4", number)
     return script
 
 

@@ -53,10 +53,21 @@ class LocalServer(uvicorn.Server):
                 "a free one"
             ) from None
         self.port = int(self._socket.getsockname()[1])
-        quiet: dict[str, Any] = {"log_config": None, "log_level": "critical", "access_log": False}
-        gate, plain = _Gate(app, self.token, self.port), {"lifespan": "off", "ws": "none", "proxy_headers": False}
-        headers = {"server_header": False, "date_header": False, "timeout_graceful_shutdown": 1}
-        super().__init__(uvicorn.Config(gate, http=_Impatient, **plain, **headers, **quiet))
+        super().__init__(
+            uvicorn.Config(
+                _Gate(app, self.token, self.port),
+                http=_Impatient,
+                ws="none",
+                lifespan="off",
+                log_config=None,
+                log_level="critical",
+                access_log=False,
+                proxy_headers=False,
+                server_header=False,
+                date_header=False,
+                timeout_graceful_shutdown=1,
+            )
+        )
 
     def address(self, page: str) -> str:
         """The address of a page of the app."""
