@@ -31,8 +31,8 @@ from tests.models.test_weights import Hub
 from tests.tracks.test_tracks_bodies import rows
 
 Call = Callable[[Path], Any]
-TOP, ONE, LHM, GEN3C = "detector/top_down.py", "detector/one_stage.py", "models/adapters/lhm.py",
-    "models/adapters/gen3c.py"
+TOP, ONE = "detector/top_down.py", "detector/one_stage.py"
+LHM, GEN3C = "models/adapters/lhm.py", "models/adapters/gen3c.py"
 FETCHED = "fixer/base/tokenizer_fast.pth"
 
 
