@@ -37,6 +37,7 @@ FOUNDATIONS = [
     "detector",
     "body",
     "estimate",
+    "board",
     "rig",
 ]
 FOUNDATIONS += ["splatting", "recursive"]

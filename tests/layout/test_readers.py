@@ -25,6 +25,7 @@ READERS = {
 }
 NO_NOUN = {
     "calibration/formats": "calibrations of users",
+    "board": "boards of users",
     "keypoints": "keypoints of users",
     "models": "weights of networks",
     "plan": "datasets, presets and what the workflow keeps for itself",

@@ -50,7 +50,7 @@ def test_a_format_is_found_by_the_files_it_declares(name: str, tmp_path: Path) -
             path.parent.mkdir(parents=True, exist_ok=True)
             # What tells a calibration from other files of its ending.
             xml = "<matrix><K>1</K><R>1</R><translation>1</translation></matrix>"
-            path.write_text(xml if path.suffix == ".xml" else "{K: 1, R: 1, translation: 1} # matrix")
+            path.write_text(xml if path.suffix == ".xml" else "{K: 1, R: 1, translation: 1} # matrix aruco_scale")
         found = [str(path.relative_to(folder)) for path in find_calibration(folder)]
         assert found == [file.replace("*", "any") for file in names]
 

@@ -84,6 +84,12 @@ class Unknowns:
         """The ``size`` numbers of a group."""
         return self.values[self.starts[name] : self.starts[name] + size]
 
+    def with_group(self, name: str, numbers: Num[np.ndarray, " M"]) -> Unknowns:
+        """The unknowns with other ``numbers`` of a group."""
+        values = self.values.copy()
+        values[self.starts[name] : self.starts[name] + len(numbers)] = numbers
+        return replace(self, values=values)
+
     def moved(self, step: Num[np.ndarray, " U"]) -> Unknowns:
         """The unknowns after a step."""
         values = self.values + step

@@ -12,10 +12,10 @@ from itertools import combinations
 from pathlib import Path, PurePath
 from typing import Any
 
-from studiorecon.calibration.formats import FORMATS
+from studiorecon.calibration.formats import FORMATS, board
 from studiorecon.calibration.formats.lenses import find_lenses
 from studiorecon.errors import UserError
-from studiorecon.footage.kinds import film_suffixes
+from studiorecon.footage.kinds import film_suffixes, is_film
 from studiorecon.keypoints.layouts import LAYOUTS
 from studiorecon.plan.films import find_recordings
 from studiorecon.plan.inventory import unused_files
@@ -90,7 +90,7 @@ def _opened(folder: Path, description: dict[str, Any]) -> Dataset:
         return named or noun, named is not None
 
     first, count = frames_used(description)
-    calibration = _find_calibration(folder, description)
+    calibration = _with_films(_find_calibration(folder, description), footage)
     keypoints, choice = keypoint_files(folder, path_under(description, "keypoints"), list(footage))
     dataset = Dataset(
         folder=folder,
@@ -158,7 +158,7 @@ def _check_there(dataset: Dataset) -> None:
     films = [film for camera, first in dataset.footage.items() for film in dataset.chapters.get(camera, (first,))]
     nouns = (dataset.keypoints, dataset.plates, dataset.masks, dataset.depth)
     for path in (*films, *dataset.calibration, *(entry for noun in nouns for entry in noun.values())):
-        if not path.is_dir() or path in dataset.calibration:
+        if not path.is_dir() or path in dataset.calibration[:1]:
             file_size(path)
         elif not os.access(path, os.R_OK | os.X_OK):
             raise not_permitted(path)
@@ -209,6 +209,15 @@ def _find_calibration(folder: Path, description: dict[str, Any]) -> tuple[Path, 
                 raise UserError(f"capture.yaml names the calibration {path}, which does not exist")
         return _with_rigs(_with_partners(paths))
     return _with_rigs(find_calibration(folder) or _calibration_below(folder))
+
+
+def _with_films(calibration: tuple[Path, ...], footage: Mapping[str, Path]) -> tuple[Path, ...]:
+    """The calibration's files; for a board's description, with the films beside it, else with the capture's."""
+    if len(calibration) != 1 or not board.recognises(list(calibration)):
+        return calibration
+    place = calibration[0].parent
+    beside = [p for p in sorted(place.iterdir()) if (is_film(p) or (p.is_dir() and p.name in footage))]
+    return (*calibration, *(beside if len(beside) > 1 else footage.values()))
 
 
 def _place_of_calibration(files: Sequence[Path], description: dict[str, Any], folder: Path) -> list[str]:

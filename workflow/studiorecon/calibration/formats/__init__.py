@@ -11,6 +11,7 @@ from __future__ import annotations
 
 from studiorecon.calibration.formats.alicevision import FORMAT as ALICEVISION
 from studiorecon.calibration.formats.biocv import FORMAT as BIOCV
+from studiorecon.calibration.formats.board import FORMAT as BOARD
 from studiorecon.calibration.formats.caliscope import FORMAT as CALISCOPE
 from studiorecon.calibration.formats.colmap_files import FORMAT as COLMAP
 from studiorecon.calibration.formats.easymocap import FORMAT as EASYMOCAP
@@ -47,6 +48,7 @@ _LISTED = (
     OPENCAP,
     BIOCV,
     OPENCV,
+    BOARD,
 )
 FORMATS: dict[str, CalibrationFormat] = {form.name: form for form in _LISTED}
 

@@ -5,5 +5,6 @@
 ``bones``       bones keep their length, about that of a mean adult
 ``feet``        the lower foot is on the floor
 ``lenses``      prior knowledge of lenses; cameras of one make have similar ones
+``board``       corners of a calibration board
 ``edges``       the room's straight edges have three directions
 """
