@@ -26,7 +26,7 @@ from studiorecon.home import HOME, SCHEMA
 from studiorecon.humans.result_cache import UP_TO_DATE
 from studiorecon.plan.budget import UserChoices, overlay_settings, read_preset
 from studiorecon.plan.make import make_plan
-from studiorecon.plan.prices import PRICES, Point, Price, PriceList, predict, probe_s, processor_seconds
+from studiorecon.plan.prices import PRICES, Point, Price, PriceList, predict, probe_s, processor_seconds, read_prices
 from studiorecon.plan.workload import ON_DEMAND, Work, measure_footage, segments_with_views, workload
 from studiorecon.report.sections.cost import cost
 from studiorecon.scene.decisions import read_decisions
@@ -125,7 +125,8 @@ def main() -> None:
     # A scene that was run with one preset compares nothing.
     often = Counter(scene for scores in scored.values() for scene in scores)
     points = tuple(Point(name, {s: db for s, db in scores.items() if often[s] > 1}) for name, scores in scored.items())
-    made = PriceList(probe_s(), options.start_s, STRETCH, SPREAD, fit(own), points)
+    quoted_s = read_prices().quoted_s
+    made = PriceList(probe_s(), options.start_s, STRETCH, SPREAD, fit(own), points, quoted_s)
     print(f"{'run':10} {'predicted':>10} {'spent':>8} ratio   {'predicted':>10} {'took':>8}  PSNR")
     ratios, rows = [], []
     for run in (*own, *others):
@@ -151,6 +152,7 @@ def main() -> None:
                 "probe_s": round(made.probe_s, 3),
                 "start_s": made.start_s,
                 "stretch": round(made.stretch, 2),
+                "quoted_s": quoted_s,
                 "spread": spread,
                 "rules": {rule: asdict(price) for rule, price in made.rules.items()},
                 "points": [asdict(point) for point in sorted(points, key=lambda point: cost_of[point.preset])],

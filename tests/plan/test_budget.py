@@ -20,6 +20,7 @@ from studiorecon.plan.budget import UserChoices, choose_offer, choose_preset, ov
 from studiorecon.plan.make import make_plan
 from studiorecon.plan.prices import Point, Price, PriceList, machine_pace, predict, read_prices
 from studiorecon.plan.workload import ON_DEMAND, Footage, Work, measure_footage, segments_with_views, workload
+from studiorecon.sweep.table import merge
 
 from tests.made.footage import smooth_pictures, write_video
 
@@ -255,7 +256,17 @@ def test_footage_that_cannot_be_read_is_named(configured: Callable[..., dict], h
         measure_footage(make_plan(configured(), home), 30.0)
 
 
-def test_networks_have_no_price(configured: Callable[..., dict], home: Path) -> None:
+def test_networks_have_the_papers_price(configured: Callable[..., dict], home: Path) -> None:
+    presets: dict = {}
+    for name in ("paper", "networks"):
+        presets = merge(presets, read_preset(name))
+    own = {"body": configured()["body"]}
+    config = merge(configured(dataset="resources/studio/demo.yaml", budget_min=5.0), presets | own)
+    with pytest.raises(UserError, match=r"about [\d.]+ h of one GPU.*views 50 min, the room 30 min, people 43 min"):
+        choose_preset(config, {}, SCHEMA, make_plan(config, home), 2)
+
+
+def test_a_network_without_a_price_is_refused(configured: Callable[..., dict], home: Path) -> None:
     config = configured(dataset="resources/studio/demo.yaml", budget_min=5.0, depth={"source": "moge"})
     with pytest.raises(UserError, match="moge"):
         choose_preset(config, {}, SCHEMA, make_plan(config, home), 2)

@@ -20,8 +20,17 @@ from studiorecon.configuration.schema import find_schema
 from studiorecon.errors import UserError
 from studiorecon.home import PRESETS
 from studiorecon.plan.decisions import Plan
-from studiorecon.plan.prices import Point, Prediction, PriceList, machine_pace, predict, processor_seconds, read_prices
-from studiorecon.plan.workload import Footage, measure_footage, segments_with_views, workload
+from studiorecon.plan.prices import (
+    Point,
+    Prediction,
+    PriceList,
+    machine_pace,
+    predict,
+    processor_seconds,
+    quoted_seconds,
+    read_prices,
+)
+from studiorecon.plan.workload import Footage, film_pictures, measure_footage, segments_with_views, workload
 
 _PACE = Path("timings") / "pace.json"
 
@@ -114,13 +123,16 @@ def choose_preset(
 
     ``given`` holds the settings of command line and configuration files. Raises UserError for unreadable footage.
     """
-    if plan.networks.selected:
-        raise UserError(
-            f"budget_min covers only the built-in methods, not {', '.join(plan.networks.selected)}; choose a preset "
-            "instead"
-        )
     prices = read_prices()
     footage = measure_footage(plan, config["capture"]["picture_fps"])
+    if plan.networks.selected:
+        parts = quoted_seconds(plan, config, film_pictures(footage, config), footage.people, prices.quoted_s)
+        each = ", ".join(f"{part} {_minutes(seconds)}" for part, seconds in parts.items())
+        cost = f" These settings take about {_minutes(sum(parts.values()))} of one GPU by the paper's table: {each}."
+        raise UserError(
+            f"budget_min covers only the built-in methods, not {', '.join(plan.networks.selected)}; choose a preset "
+            f"instead.{cost if parts else ''}"
+        )
     stated = UserChoices(given, schema)
     return choose_offer(config["budget_min"], config, stated, footage, plan, prices, cores, machine_pace(prices, _PACE))
 

@@ -6,14 +6,18 @@ from __future__ import annotations
 import json
 import time
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from studiorecon.home import RESOURCES
 from studiorecon.plan.workload import Work
 from studiorecon.scene.files import read_json, write_json
+
+if TYPE_CHECKING:
+    from studiorecon.plan.decisions import Plan
 
 PRICES = RESOURCES / "prices.json"
 
@@ -49,6 +53,9 @@ class PriceList:
             slow each other down).
         spread: (low, high) measured over predicted time, at the extremes; includes all that is unknown before a run.
         rules: rule → price. points: the presets, cheapest first.
+        quoted_s: seconds of networks and of training on one GPU, from the paper's table (an NVIDIA A6000; appendix
+            "Runtime Analysis") until they are measured: a synthesised view and an enhanced picture; the poses, room and
+            first person of a scene at the paper's steps; each further person.
     """
 
     probe_s: float
@@ -57,6 +64,7 @@ class PriceList:
     spread: tuple[float, float]
     rules: Mapping[str, Price]
     points: tuple[Point, ...]
+    quoted_s: Mapping[str, float] = field(default_factory=dict)
 
 
 @dataclass(frozen=True)
@@ -83,6 +91,27 @@ def processor_seconds(work: Mapping[str, Work], prices: PriceList) -> dict[str, 
         for rule, part in work.items()
         if (price := prices.rules.get(rule)) is not None
     }
+
+
+def quoted_seconds(
+    plan: Plan, config: Mapping[str, Any], pictures: int, people: int, quoted_s: Mapping[str, float]
+) -> dict[str, float]:
+    """Part of a run on a GPU → its seconds, one after the other; ``pictures`` of all films."""
+    networks, room, human = plan.networks, config["background"], config["humans"]
+    views = (
+        0 if networks.views in ("warp", "precomputed") else len(plan.segments) * config["views"]["views_per_segment"]
+    )
+    repaired = room["refinement"]["views"] + pictures if networks.enhance else 0
+    trains = bool(networks.rasteriser_gpus)
+    trained = (quoted_s["people"] + quoted_s["person"] * (people - 1)) * human["iterations"] / 10_000
+    seconds = {
+        "poses": quoted_s["poses"] * bool(people and set(networks.selected) & {"comotion", "sam3"}),
+        "views": quoted_s["view"] * views,
+        "the room": quoted_s["room"] * trains * room["training"]["iterations"] / 7_000,
+        "people": trained * trains * bool(people),
+        "films": quoted_s["picture"] * repaired,
+    }
+    return {part: spent for part, spent in seconds.items() if spent}
 
 
 def predict(work: Mapping[str, Work], prices: PriceList, cores: int, pace: float) -> Prediction:

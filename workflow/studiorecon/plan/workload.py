@@ -169,6 +169,11 @@ def _depth_work(training: int, wh: tuple[int, int], depth: Mapping[str, Any]) ->
     }
 
 
+def film_pictures(footage: Footage, config: Mapping[str, Any]) -> int:
+    """Pictures of all films."""
+    return sum(_pictures(shot, given, footage) for shot, given in config["render"]["shots"].items())
+
+
 def _film_work(footage: Footage, picture_mpx: float, shots: Mapping[str, Any]) -> dict[str, Work]:
     looked_at = footage.training * footage.frames
     films = {shot: _pictures(shot, given, footage) for shot, given in shots.items()}
