@@ -9,9 +9,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 from studiorecon.errors import UserError
+from studiorecon.people.associate import _lines_of
 from studiorecon.people.association.rejected_people import RejectedPerson, report_rejected
 from studiorecon.people.corrected_identities import people_table_rows, read_corrected_identities
-from studiorecon.scene.people import Detections
+from studiorecon.scene.people import Detections, read_identities, split_tracks, write_identities
 
 
 def detections(camera: str, frames_of_tracks: dict[int, list[int]]) -> Detections:
@@ -23,7 +24,7 @@ def detections(camera: str, frames_of_tracks: dict[int, list[int]]) -> Detection
 FOUND = [detections("a", {0: [0, 1, 2], 1: [5, 6]}), detections("b", {0: [1, 2, 3], 4: [0]}), detections("c", {2: [0]})]
 
 
-def write(folder: Path, *lines: tuple[str, int, str]) -> Path:
+def write(folder: Path, *lines: tuple[str, int | str, str]) -> Path:
     path = folder / "identities.tsv"
     path.write_text("camera\ttrack\tperson\n" + "".join(f"{c}\t{t}\t{p}\n" for c, t, p in lines))
     return path
@@ -37,6 +38,33 @@ def test_corrections_are_taken_and_what_is_left_out_belongs_to_nobody(tmp_path: 
     assert people_table_rows(table, FOUND) == [("p0", 3, "a,c", 1.0, "corrected"), ("p1", 4, "a,b", 1.0, "corrected")]
     short = read_corrected_identities(write(tmp_path, ("a", 0, "p0"), ("b", 0, "p0")), FOUND)
     assert {key for key, person in short.items() if not person} == {("a", 1), ("b", 4), ("c", 2)}
+
+
+def test_a_cut_track_is_two_people(tmp_path: Path) -> None:
+    lines = [("a", 0, "p0"), ("a", "0@1", "p1"), ("a", "0@2", ""), ("b", "0", "p0"), ("b", "0@3", "p1"), ("b", 4, "p1")]
+    table = read_corrected_identities(write(tmp_path, *lines), FOUND)
+    cut = [split_tracks(found, table) for found in FOUND]
+    who = {
+        (found.camera, int(frame)): table[found.camera, int(track)]
+        for found in cut
+        for frame, track in zip(found.frame, found.track)
+    }
+    assert {(c, f): p for (c, f), p in who.items() if p} == {
+        ("a", 0): "p0", ("a", 1): "p1", ("b", 0): "p1", ("b", 1): "p0", ("b", 2): "p0", ("b", 3): "p1",
+    }  # fmt: skip
+    assert split_tracks(FOUND[2], table) is FOUND[2]
+    assert people_table_rows(table, cut) == [("p0", 3, "a,b", 1.0, "corrected"), ("p1", 3, "a,b", 1.0, "corrected")]
+    written = tmp_path / "written.tsv"
+    write_identities(written, table)
+    assert read_identities(written) == table
+    assert "a\t0@1\tp1" in written.read_text()
+    # One person's lines cut a track that others share.
+    lines_of_p0 = _lines_of("p0", table)
+    alone = split_tracks(FOUND[0], lines_of_p0)
+    assert [lines_of_p0.get(("a", int(t))) for t in alone.track] == ["p0", "p1", "", None, None]
+    for track in ("0@", "@1", "0@-1", "0@1@2", "0@9"):
+        with pytest.raises(UserError, match="track"):
+            read_corrected_identities(write(tmp_path, ("a", track, "p0"), ("b", 0, "p0")), FOUND)
 
 
 B = ("b", 0, "p0")

@@ -26,7 +26,7 @@ from studiorecon.scene.capture import read_manifest
 from studiorecon.scene.files import atomic_path, write_json, write_text
 from studiorecon.scene.gaussians import Gaussians, concatenate
 from studiorecon.scene.gaussians_ply import read_ply, write_ply
-from studiorecon.scene.people import Person, read_detections, read_identities
+from studiorecon.scene.people import Person, read_detections, read_identities, split_tracks
 from studiorecon.signature import Written
 from studiorecon.splatting.scene_files import SceneFiles
 
@@ -202,8 +202,8 @@ def run(
     if settings.pictures != "none":
         filmed = {video.stem: video for video in videos}
         other += camera_files.write_pictures(folder / "cameras", filmed, frames)
-    seen, names = [read_detections(path) for path in detections], [p.person for p in people]
     known = {k: v for path in identities for k, v in read_identities(path).items()}
+    seen, names = [split_tracks(read_detections(path), known) for path in detections], [p.person for p in people]
     by_name = {c.name: c for c in cameras}
     for form, write in keypoint_files.WRITERS.items():
         for d in seen:

@@ -25,7 +25,7 @@ from studiorecon.progress import say
 from studiorecon.scene.camera import Camera
 from studiorecon.scene.capture import read_footage
 from studiorecon.scene.factors import read_factors
-from studiorecon.scene.people import read_detections, read_identities
+from studiorecon.scene.people import read_detections, read_identities, split_tracks
 from studiorecon.scene.raw_detections import read_raw_detections
 from studiorecon.signature import Written
 from studiorecon.splatting.rigid_object import read_objects
@@ -143,9 +143,10 @@ def _by_plate(
     things = [thing for path in hints.objects for thing in read_objects(path)]
     found = None
     if hints.seen:
-        whole, detections = read_raw_detections(hints.seen[0], masks=True), read_detections(hints.seen[1])
+        whole, who = read_raw_detections(hints.seen[0], masks=True), read_identities(hints.seen[2])
+        detections = split_tracks(read_detections(hints.seen[1]), who)
         about = find_lens(film.calibration, camera), read_footage(film.footage)
-        found = masks_by_frame(whole, detections, read_identities(hints.seen[2]), *about)
+        found = masks_by_frame(whole, detections, who, *about)
     return segment(pictures, *plate, bodies, settings, things, found)
 
 

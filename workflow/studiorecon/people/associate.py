@@ -27,7 +27,14 @@ from studiorecon.rig.body_points import person_tracks
 from studiorecon.scene.camera import Camera
 from studiorecon.scene.capture import Manifest, read_manifest
 from studiorecon.scene.files import write_json
-from studiorecon.scene.people import Detections, read_detections, write_identities, write_people
+from studiorecon.scene.people import (
+    Detections,
+    read_detections,
+    split_tracks,
+    whole_track,
+    write_identities,
+    write_people,
+)
 from studiorecon.scene.readouts import Readout, write_readouts
 from studiorecon.signature import Written
 
@@ -89,7 +96,7 @@ class Associated:
 def associate_as_corrected(path: Path, given: Sequence[Detections]) -> Associated:
     """Persons of all tracks by the user's own table, unchanged."""
     table = read_corrected_identities(path, given)
-    rows = people_table_rows(table, given)
+    rows = people_table_rows(table, [split_tracks(d, table) for d in given])
     say(f"{len(rows)} people as corrected in {path}")
     verdicts = {
         key: TrackVerdict(person, float("nan"), "" if person else "left out by hand") for key, person in table.items()
@@ -126,6 +133,7 @@ def run(
         evidence = witnesses.of(cameras, footage)
         limits, (frames, fps) = (settings.association, settings.triangulation), (footage.frames, footage.fps)
         found = Associated(*identities_from_keypoints(*limits, cameras, given, videos, frames, fps, evidence))
+    given = [split_tracks(d, found.table) for d in given]
     _warn_of_nobody(found, given, footage)
     rows_look = _readouts(given, found.table, cameras, footage)
     newcomer = f"p{max((int(row[0][1:]) for row in found.rows), default=-1) + 1}"
@@ -139,9 +147,16 @@ def run(
     # Also without people.
     who.mkdir(parents=True, exist_ok=True)
     for name, *_ in found.rows:
-        write_identities(who / f"{name}.tsv", {key: person for key, person in found.table.items() if person == name})
+        write_identities(who / f"{name}.tsv", _lines_of(name, found.table))
     write_readouts(who / "readouts.json", rows_look)
     report_rejected(found.missed, newcomer)
+
+
+def _lines_of(name: str, table: Mapping[tuple[str, int], str]) -> dict[tuple[str, int], str]:
+    """One person's lines of the table, with all parts of tracks that were cut."""
+    tracks = {(camera, whole_track(track)) for (camera, track), person in table.items() if person == name}
+    parts = {key for key in table if key[1] != whole_track(key[1]) and (key[0], whole_track(key[1])) in tracks}
+    return {key: person for key, person in table.items() if person == name or key in parts}
 
 
 def _read_of_all(paths: Sequence[Path], cameras: Sequence[Camera]) -> list[Detections]:

@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 
 from studiorecon.errors import UserError
-from studiorecon.scene.people import Detections, read_given_identities
+from studiorecon.scene.people import Detections, read_given_identities, split_tracks, track_text
 
 _PERSON = re.compile(r"p\d+")
 
@@ -21,18 +21,18 @@ def read_corrected_identities(path: Path, detections: Sequence[Detections]) -> d
     Raises UserError, naming the line's camera and track, for a track that does not exist, a person that is not called
     p0, p1, …, or one who is in fewer than two cameras.
     """
-    tracks = {(d.camera, int(t)) for d in detections for t in np.unique(d.track)}
     given = read_given_identities(path)
+    tracks = {(d.camera, int(t)) for d in detections for t in np.unique(split_tracks(d, given).track)}
     for (camera, track), person in given.items():
         if (camera, track) not in tracks:
             raise UserError(
-                f"{path} names track {track} of camera {camera}, which was not "
+                f"{path} names track {track_text(track)} of camera {camera}, which was not "
                 "detected; start from people/identities.tsv"
             )
         if person and not _PERSON.fullmatch(person):
             raise UserError(
-                f"{path} calls track {track} of camera {camera} {person!r}; people are called p0, p1, … (empty = no "
-                "person)"
+                f"{path} calls track {track_text(track)} of camera {camera} {person!r}; people are called p0, p1, … "
+                "(empty = no person)"
             )
     for person in sorted({p for p in given.values() if p}):
         cameras = {camera for (camera, _), p in given.items() if p == person}

@@ -42,7 +42,7 @@ from studiorecon.people.fitting.surface_points import triangulate_surface
 from studiorecon.progress import say
 from studiorecon.scene.camera import Camera
 from studiorecon.scene.capture import read_manifest
-from studiorecon.scene.people import Detections, Person, read_detections, read_identities
+from studiorecon.scene.people import Detections, Person, read_detections, read_identities, split_tracks
 from studiorecon.scene.readouts import read_readouts
 from studiorecon.signature import Written
 
@@ -291,6 +291,7 @@ def run(
     """
     footage, body_model, whose = read_manifest(manifest), BodyModel.load(body), read_identities(identities[0])
     seen, cameras = _read_observed(detections, model, readouts, footage.fps)
+    seen = [split_tracks(found, whose) for found in seen]
     names, keypoints = person_keypoints(person, seen, whose, body_model, footage.frames)
     limits, sigma_m = settings.triangulation, settings.fit.unverified_sigma_m
     points = triangulate_keypoints(names, keypoints, cameras, limits, sigma_m, detector_offset_m(names, seen))

@@ -23,7 +23,7 @@ from studiorecon.keypoints.layouts import JOINT_NAMES, LAYOUTS
 from studiorecon.progress import progress, say
 from studiorecon.scene.camera import Camera
 from studiorecon.scene.capture import read_manifest
-from studiorecon.scene.people import Detections, Person, read_detections, read_identities
+from studiorecon.scene.people import Detections, Person, read_detections, read_identities, split_tracks
 from studiorecon.signature import Written
 
 if TYPE_CHECKING:
@@ -103,8 +103,8 @@ def run(
             raise UserError(
                 f"{fit} has {len(person.poses)} frames and the capture {capture.frames}; delete {fit} and run again"
             )
-    seen = read_detections(detections[0]) if detections else None
     known = read_identities(identities)
+    seen = split_tracks(read_detections(detections[0]), known) if detections else None
     frames = progress(enumerate(read_frames(video)), f"skeletons in {camera}")
     written = write_watchable(
         film, (draw_frame(picture, frame, own, people, seen, known) for frame, picture in frames), capture.fps

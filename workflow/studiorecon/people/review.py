@@ -20,7 +20,7 @@ from studiorecon.pages import skeleton
 from studiorecon.people.pictures.change import sample_frames
 from studiorecon.progress import progress
 from studiorecon.scene.files import write_text
-from studiorecon.scene.people import Detections, people_rows, read_detections, read_identities
+from studiorecon.scene.people import Detections, people_rows, read_detections, read_identities, split_tracks, track_text
 from studiorecon.scene.schema import Anything, MappingOf
 from studiorecon.scene.step_files import read
 from studiorecon.signature import Written
@@ -60,7 +60,7 @@ _BODY = """
 </table>
 {% endmacro %}
 {% macro track(t) %}
-{% set where = t.camera ~ "/" ~ t.track %}
+{% set where = t.camera ~ "/" ~ track_text(t.track) %}
 <div{% if t.person %} class="doubt"{% endif %} style="--c:{{ colour_of(t.person) }}">
 <p>{% if t.person %}<span class="who">{{ t.person }}</span>, {% endif %}<b>{{ where }}</b>,
 frames {{ t.first }}–{{ t.last }}
@@ -195,7 +195,8 @@ def run(
 ) -> None:
     """Write ``page`` (html that needs no network) from the identities and reasons in ``association``."""
     info, rows = read(association, MappingOf(Anything())), people_rows(people)
-    found = [read_detections(p) for p in detections]
+    whose = read_identities(identities)
+    found = [split_tracks(read_detections(p), whose) for p in detections]
     view = {d.camera: v for v, d in enumerate(found)}
     doubtful, rejected = order_by_doubt(info["tracks"])
     strips: list[tuple[str, str, list[PictureRequest]]] = []  # where it belongs, colour, pictures
@@ -217,7 +218,7 @@ def run(
         v = view[t["camera"]]
         strips.append(
             (
-                f"{t['camera']}/{t['track']}",
+                f"{t['camera']}/{track_text(t['track'])}",
                 person_css_colour(t["person"]),
                 choose_pictures(found[v], v, [t["track"]], min(3, _PICTURES)),
             )
@@ -230,14 +231,12 @@ def run(
             {
                 "address": next(images),
                 "frame": found[o.view].frame[o.index],
-                "track": found[o.view].track[o.index],
+                "track": track_text(int(found[o.view].track[o.index])),
             }
             for o in some
         ]
         shown[where] = skeleton.fill_template(_STRIP, where=where, colour=colour, figures=figures)
-    write_text(
-        page, _page(info, rows, doubtful, rejected, [d.camera for d in found], shown, read_identities(identities))
-    )
+    write_text(page, _page(info, rows, doubtful, rejected, [d.camera for d in found], shown, whose))
 
 
 def _page(
@@ -260,7 +259,10 @@ def _page(
         shown=shown,
         sources=_SOURCES,
         colour_of=person_css_colour,
+        track_text=track_text,
         nobody=_NOBODY,
-        listing="\n".join(["camera\ttrack\tperson", *(f"{c}\t{t}\t{p}" for (c, t), p in sorted(identities.items()))]),
+        listing="\n".join(
+            ["camera\ttrack\tperson", *(f"{c}\t{track_text(t)}\t{p}" for (c, t), p in sorted(identities.items()))]
+        ),
     )
     return skeleton.page("Identity page", [body], _STYLE)

@@ -48,7 +48,7 @@ from studiorecon.report.sections.pictures import truth_shares
 from studiorecon.scene.camera import Camera
 from studiorecon.scene.capture import common_start
 from studiorecon.scene.files import write_json
-from studiorecon.scene.people import Person, read_detections, read_identities
+from studiorecon.scene.people import Person, read_detections, read_identities, split_tracks
 from studiorecon.scene.schema import ListOf, OptionalField, flag, metres, real, text, whole
 from studiorecon.scene.step_files import read
 from studiorecon.signature import Place, Written
@@ -272,7 +272,8 @@ def _bodies_in_pictures(truth: Truth | None, scored: ScoredFilms, people: Sequen
 def _identities(people: PeopleFiles, training: Sequence[Camera], joints: Mapping[str, np.ndarray]) -> dict[str, Any]:
     """Scores of the identities against the studio's truth, else of association's own table against the user's."""
     if people.detections and people.identities and (joints or people.uncorrected_identities):
-        seen, whose = [read_detections(path) for path in people.detections], read_identities(people.identities[0])
+        whose = read_identities(people.identities[0])
+        seen = [split_tracks(read_detections(path), whose) for path in people.detections]
         if joints:
             return score_identities(seen, whose, {camera.name: camera for camera in training}, joints)
         return score_against(seen, whose, read_identities(people.uncorrected_identities[0]))

@@ -31,7 +31,7 @@ from studiorecon.scene.capture import read_manifest
 from studiorecon.scene.decisions import Decision, read_decisions
 from studiorecon.scene.files import write_json, write_text
 from studiorecon.scene.path import read_path
-from studiorecon.scene.people import read_detections, read_identities
+from studiorecon.scene.people import read_detections, read_identities, split_tracks
 from studiorecon.scene.schema import Anything, MappingOf
 from studiorecon.scene.step_files import CURE, read
 from studiorecon.signature import Place, Written
@@ -215,7 +215,7 @@ def people_section(
     parts = [sections.joint_errors_table(measured), timeline.certainty_table(bodies, measured["jitter"])]
     if people.identities:
         names, whose = [person.name for person in bodies], read_identities(people.identities[0])
-        found = [read_detections(path) for path in people.detections]
+        found = [split_tracks(read_detections(path), whose) for path in people.detections]
         parts.append(timeline.timeline_strip(timeline.frames_with_detections(found, whose, names, frames), names))
     parts += [
         sections.rejected_people_table(read(path, _SHOWN, lambda held: held["left_out"])) for path in people.association

@@ -3,7 +3,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+import re
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -33,7 +34,11 @@ _PEOPLE = ListOf(
         "reason": text(),
     }
 )
-_IDENTITIES = ListOf({"camera": text(), "track": whole(), "person": text()})
+_IDENTITIES = ListOf({"camera": text(), "track": text(), "person": text()})
+# A track that changes from one person to another is cut: in files "7@120" is track 7 from frame 120 on, in memory the
+# number of that part is (120 + 1) · 10⁶ + 7. No camera has so many tracks, and 10⁸ frames fit into 64 bits.
+_PART = 10**6
+_TRACK = re.compile(r"(-?\d{1,6})(?:@(\d{1,8}))?", re.ASCII)
 _DETECTIONS = {
     "camera": text(),
     "layout": text(),
@@ -181,8 +186,38 @@ def people_rows(path: Path) -> list[dict[str, Any]]:
 def write_identities(path: Path, identities: dict[tuple[str, int], str]) -> None:
     """Write ``identities.tsv`` from {(camera, track): person}; an empty person means the track was rejected."""
     write_table(
-        path, IDENTITY_COLUMNS, [(camera, track, person) for (camera, track), person in sorted(identities.items())]
+        path,
+        IDENTITY_COLUMNS,
+        [(camera, track_text(track), person) for (camera, track), person in sorted(identities.items())],
     )
+
+
+def track_text(track: int) -> str:
+    """The name of a track in files; of its part from a frame on with that frame, ``7@120``."""
+    first, base = divmod(track, _PART)
+    return f"{base}@{first - 1}" if track >= _PART else str(track)
+
+
+def track_number(given: str) -> int | None:
+    """The number of a track, or of its part, that files call ``given``; None where that is neither."""
+    found = _TRACK.fullmatch(given)
+    if found is None:
+        return None
+    return int(found[1]) + (_PART * (int(found[2]) + 1) if found[2] else 0)
+
+
+def whole_track(track: int) -> int:
+    """The track to which a part belongs; other tracks unchanged."""
+    return track % _PART if track >= _PART else track
+
+
+def split_tracks(found: Detections, identities: Mapping[tuple[str, int], str]) -> Detections:
+    """``found`` with the tracks cut into the parts that ``identities`` names; without parts, ``found`` itself."""
+    parts = sorted(track for camera, track in identities if camera == found.camera and track >= _PART)
+    track = np.array(found.track)
+    for part in parts:  # by their first frames: of several parts the last one that has begun counts
+        track[(found.track == whole_track(part)) & (found.frame >= part // _PART - 1)] = part
+    return replace(found, track=track) if parts else found
 
 
 def read_identities(path: Path) -> dict[tuple[str, int], str]:
@@ -192,7 +227,9 @@ def read_identities(path: Path) -> dict[tuple[str, int], str]:
     """
 
     def made(rows: list[dict[str, Any]]) -> dict[tuple[str, int], str]:
-        found = {(row["camera"], row["track"]): row["person"] for row in rows}
+        numbers = [track_number(row["track"]) for row in rows]
+        expect(None not in numbers, "a track is no number")
+        found = {(row["camera"], track): row["person"] for row, track in zip(rows, numbers) if track is not None}
         expect(len(found) == len(rows), "a track is listed twice")
         return found
 
@@ -207,8 +244,12 @@ def read_given_identities(path: Path) -> dict[tuple[str, int], str]:
     found: dict[tuple[str, int], str] = {}
     for line, row in read_rows(path, IDENTITY_COLUMNS):
         camera, track, person = (row[column].strip() for column in IDENTITY_COLUMNS)
-        if not (track.isascii() and track.removeprefix("-").isdigit() and len(track) < 18):
-            raise UserError(f"{path}, line {line}: track is {short_text(row['track'])}; it must be a whole number")
-        if found.setdefault((camera, int(track)), person) != person:
+        number = track_number(track)
+        if number is None:
+            raise UserError(
+                f"{path}, line {line}: track is {short_text(row['track'])}; it must be a whole number, or 7@120 for "
+                "track 7 from frame 120 on"
+            )
+        if found.setdefault((camera, number), person) != person:
             raise UserError(f"{path}, line {line}: track {track} of camera {camera} is two people; keep one line")
     return found

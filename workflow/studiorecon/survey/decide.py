@@ -19,7 +19,7 @@ from studiorecon.rig.body_points import person_tracks
 from studiorecon.scene.capture import read_manifest
 from studiorecon.scene.decisions import apply_forced, write_decisions
 from studiorecon.scene.files import require_one_each
-from studiorecon.scene.people import Detections, read_detections, read_identities, read_people
+from studiorecon.scene.people import Detections, read_detections, read_identities, read_people, split_tracks
 from studiorecon.scene.room import read_room
 from studiorecon.signature import Written
 from studiorecon.survey.clips import read_film
@@ -51,9 +51,9 @@ def run(
     """
     cameras, capture = read_model(model.parent), read_manifest(manifest)
     require_one_each(cameras, videos=videos, plates=plates, depth_maps=depths, files_of_keypoints=detections or cameras)
-    found = [read_detections(path) for path in detections]
     names = read_people(people[0]) if people else None
     whose = read_identities(identities[0]) if identities else {}
+    found = [split_tracks(read_detections(path), whose) for path in detections]
     views = [ExposureView(c, *read_plate(p, c.wh), read_depth(d, c.wh)[0]) for c, p, d in zip(cameras, plates, depths)]
     own_points: Sequence[Detections | None] = found or [None] * len(cameras)
     films = [

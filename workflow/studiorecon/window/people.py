@@ -17,7 +17,16 @@ from studiorecon.people.corrected_identities import read_corrected_identities
 from studiorecon.scene.capture import read_manifest
 from studiorecon.scene.capture_yaml import path_under, read_description
 from studiorecon.scene.files import atomic_path
-from studiorecon.scene.people import Detections, read_detections, write_identities
+from studiorecon.scene.people import (
+    Detections,
+    read_detections,
+    read_identities,
+    split_tracks,
+    track_number,
+    track_text,
+    whole_track,
+    write_identities,
+)
 from studiorecon.scene.schema import Anything, MappingOf
 from studiorecon.scene.step_files import read
 from studiorecon.window.projects import find_project
@@ -31,18 +40,19 @@ _encoding = threading.Lock()
 
 
 def read_tracks(name: str) -> dict[str, Any]:
-    """``tracks`` of the scene's association, and ``cameras`` with the boxes of each track, by frame, in pixels."""
+    """``tracks`` of the scene's association, and ``cameras`` with each whole track's boxes, by frame, in pixels."""
     results = Path("results") / name
     manifest = read_manifest(results / "capture/manifest.json")
     tracks = read(results / "people/association.json", MappingOf(Anything()))["tracks"]
-    cameras = []
-    for found in _detections(name):
+    whose, cameras = read_identities(results / "people/identities.tsv"), []
+    for found in (split_tracks(one, whose) for one in _detections(name)):
         frame = next(read_frames(results / "capture" / f"{found.camera}.mkv", 0, 1))
-        boxes: dict[int, list[list[int]]] = {}
+        boxes: dict[str, list[list[int]]] = {}
         for frame_number, track, box in zip(found.frame, found.track, _boxes(found)):
-            boxes.setdefault(int(track), []).append([int(frame_number), *map(int, box)])
+            boxes.setdefault(track_text(whole_track(int(track))), []).append([int(frame_number), *map(int, box)])
         cameras.append({"name": found.camera, "wh": [frame.shape[1], frame.shape[0]], "boxes": boxes})
-    return {"fps": manifest.fps, "frames": manifest.frames, "tracks": tracks, "cameras": cameras}
+    named = [{**track, "track": track_text(track["track"])} for track in tracks]
+    return {"fps": manifest.fps, "frames": manifest.frames, "tracks": named, "cameras": cameras}
 
 
 def _detections(name: str) -> list[Detections]:
@@ -83,7 +93,7 @@ def _small(frames: Iterator[Integer[np.ndarray, "H W 3"]]) -> Iterator[Integer[n
         yield cv2.resize(frame, None, fx=scale, fy=scale, interpolation=cv2.INTER_AREA) if scale < 1 else frame
 
 
-def save_identities(name: str, rows: Sequence[tuple[str, int, str]]) -> str:
+def save_identities(name: str, rows: Sequence[tuple[str, str, str]]) -> str:
     """The file of corrected identities, (camera, track, person) for every track, that the next run will read.
 
     Raises UserError, and leaves the file, where a person is in one camera only, or a track is no longer there.
@@ -94,7 +104,10 @@ def save_identities(name: str, rows: Sequence[tuple[str, int, str]]) -> str:
     file = folder / (path_under(read_description(folder, None), "identities") or "identities.tsv")
     tried = file.with_name(f".tried-{file.name}")
     try:
-        write_identities(tried, {(str(camera), int(track)): str(person) for camera, track, person in rows})
+        numbered = {(str(camera), track_number(str(track))): str(person) for camera, track, person in rows}
+        write_identities(
+            tried, {(camera, track): who for (camera, track), who in numbered.items() if track is not None}
+        )
         read_corrected_identities(tried, _detections(name))
         tried.replace(file)
     except UserError as refusal:

@@ -20,7 +20,7 @@ from studiorecon.report.metrics.identity_scores import identity_scores
 from studiorecon.report.metrics.pck import TruePerson, score_keypoints
 from studiorecon.report.metrics.truth import TrueView, true_pixels
 from studiorecon.scene.camera import Camera
-from studiorecon.scene.people import Detections
+from studiorecon.scene.people import Detections, whole_track
 
 if TYPE_CHECKING:
     from jaxtyping import Bool, Float
@@ -98,7 +98,7 @@ def score_against(
     for view, seen in enumerate(detections):
         for frame, track in zip(seen.frame.tolist(), seen.track.tolist()):
             if (who := annotated.get((seen.camera, track))) is not None:
-                given = identities.get((seen.camera, track), "")
+                given = identities.get((seen.camera, whole_track(track)), "")
                 true = names.index(who) if who else NOBODY
                 rows.append((frame, view, true, found.index(given) if given else NOBODY))
     return _scores(rows, detections)
