@@ -1,6 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """Opens the scene beside this file in Blender (4.2 or later): bodies in motion, the room, and every camera with what it
-filmed behind what it sees.
+filmed behind what it sees. The room is Gaussians in Blender 5.3 and later, and points before.
 
     blender --python blender.py
 
@@ -28,6 +28,7 @@ def open_scene(folder):
     scene.frame_start, scene.frame_end = 0, told["frames"] - 1
     scene.unit_settings.system = "METRIC"
     bpy.ops.import_scene.gltf(filepath=str(folder / "scene.glb"))
+    show_splats(folder / "background.ply")
     cameras = {}
     for entry in told["cameras"]:
         thing = next(o for o in bpy.data.objects if o.type == "CAMERA" and o.name == entry["name"])
@@ -43,6 +44,22 @@ def open_scene(folder):
         look_through(scene, told["cameras"][0])
     scene.frame_set(0)
     return cameras
+
+
+def show_splats(file):
+    """Puts the Gaussians of a PLY file in the place of the room's points, where Blender reads them as Gaussians."""
+    if bpy.app.version < (5, 3, 0) or not file.is_file():
+        return
+    before = set(bpy.data.objects)
+    bpy.ops.wm.ply_import(filepath=str(file), forward_axis="Y", up_axis="Z")
+    read = [o for o in bpy.data.objects if o not in before]
+    are_splats = bool(read) and all(o.type == "POINTCLOUD" for o in read)
+    for old in [o for o in before if o.name == "room"] if are_splats else read:
+        bpy.data.objects.remove(old)
+    if are_splats:
+        read[0].name = "room"
+    else:
+        print(f"this Blender does not read {file.name} as Gaussians: the room stays points")
 
 
 def set_lens(lens, entry):

@@ -8,9 +8,11 @@ behind the scene.
 from __future__ import annotations
 
 import json
+import runpy
 import shutil
 import subprocess
 import sys
+import types
 from importlib.util import find_spec
 from pathlib import Path
 
@@ -44,6 +46,40 @@ for (name, camera), entry in zip(cameras.items(), entries):
 told["heads"] = [list(o.matrix_world @ b.head) for o in bpy.data.objects if o.type == "ARMATURE" for b in o.pose.bones]
 print("TOLD" + json.dumps(told))
 """
+
+
+class Thing:
+    def __init__(self, name: str, kind: str) -> None:
+        self.name, self.type = name, kind
+
+
+@pytest.mark.parametrize(
+    ("version", "kind", "expected"),
+    [
+        ((5, 2, 3), "MESH", [("room", "MESH"), ("p0", "MESH")]),
+        ((5, 3, 0), "POINTCLOUD", [("p0", "MESH"), ("room", "POINTCLOUD")]),
+        ((5, 4, 0), "MESH", [("room", "MESH"), ("p0", "MESH")]),
+    ],
+)
+def test_the_room_is_gaussians_where_blender_reads_them(
+    version: tuple, kind: str, expected: list, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """As the source of Blender 5.3 has it: a PLY with all of a Gaussian's properties becomes a point cloud."""
+    objects, bpy = [Thing("room", "MESH"), Thing("p0", "MESH")], types.ModuleType("bpy")
+    bpy.app, bpy.data = types.SimpleNamespace(version=version), types.SimpleNamespace(objects=objects)
+    asked: list[dict] = []
+    reader = types.SimpleNamespace(
+        ply_import=lambda **options: (asked.append(options), objects.append(Thing("background", kind)))
+    )
+    bpy.ops = types.SimpleNamespace(wm=reader)
+    monkeypatch.setitem(sys.modules, "bpy", bpy)
+    script = runpy.run_path(str(SCRIPT))
+    script["show_splats"](tmp_path / "background.ply")
+    assert not asked, "without the file nothing changes"
+    (tmp_path / "background.ply").touch()
+    script["show_splats"](tmp_path / "background.ply")
+    assert [(o.name, o.type) for o in objects] == expected
+    assert [options["up_axis"] for options in asked] == (["Z"] if version >= (5, 3) else [])
 
 
 @pytest.mark.slow
