@@ -95,7 +95,7 @@ def test_attached_hands_turn_forearms_and_leave_the_arms_where_they_were(body: B
     local = rotations.exp(person.poses.reshape(FRAMES, 24, 3))
     untwisted = local.copy()
     untwisted[:, 18:22] = rotations.exp(person.poses.reshape(FRAMES, 24, 3)[:, 18:22] * [0, 1, 1])
-    whole, sigma_m, scale = attach_hands(body, person.betas, untwisted, person.sigma, hands)
+    whole, sigma_m, scale = attach_hands(body, person.betas, untwisted, person.trans, person.sigma, hands)
     skeleton = scale_hands(body, scale)
     joints = skeleton.joints(rotations.log(whole).reshape(FRAMES, -1), person.betas, person.trans)
     before = body.joints(rotations.log(untwisted).reshape(FRAMES, -1), person.betas, person.trans)

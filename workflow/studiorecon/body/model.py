@@ -140,7 +140,7 @@ class BodyModel:
         ]
         weights: np.ndarray = np.zeros((self.vertex_count, len(names)), np.float32)
         weights[:, :first] = self.weights
-        hands = [self.names.index(f"{side}_hand") for side in ("left", "right")]
+        hands = np.array([self.names.index(f"{side}_hand") for side in ("left", "right")])
         moved = self.weights[own.vertices][:, hands].sum(1)
         weights[np.ix_(own.vertices, hands)] = 0.0
         for k in range(own.joints.shape[1]):

@@ -195,7 +195,7 @@ def fit_person(
         fits = [fit_hand(body, betas, side, at, hands[side].sigma_m, options) for side, at in enumerate(measured)]
         report_hands(person, fits)
         if any(fits):
-            local, sigma_m, scale = attach_hands(body, betas, local, sigma_m, fits)
+            local, sigma_m, scale = attach_hands(body, betas, local, result.trans_m, sigma_m, fits)
     parts = local, result.trans_m, betas, valid, points.cameras > 0, sigma_m
     return _person(person, *parts, body, fps, settings, scale), result
 

@@ -19,6 +19,7 @@ from studiorecon.body.fitting.levenberg_marquardt import descend
 from studiorecon.body.fitting.point_model import FitState
 from studiorecon.body.fitting.prior import PosePrior, body_prior
 from studiorecon.body.fitting.problem import PriorWeights, Problem
+from studiorecon.body.fitting.start import swing
 from studiorecon.body.hands import THUMB, finger_axes
 from studiorecon.body.model import BodyModel
 from studiorecon.body.skinning import forward_kinematics
@@ -44,6 +45,8 @@ _SCALE_SIGMA, _POINT_SIGMA_M = 0.06, 0.003
 # The palm's points, which start the fit: wrist and the roots of all fingers; three of them fix a hand.
 _PALM = (0, 1, 5, 9, 13, 17)
 _MIN_POINTS = 8
+# An arm straighter than this (sine of the elbow's bend) has no plane in which it bends.
+_STRAIGHT = 0.02
 # A frame whose points are further off than half a palm's width (median) shows no hand of this person.
 _MAX_FRAME_M = 0.04
 
@@ -53,15 +56,18 @@ class HandFit:
     """One hand over T frames; frames without enough points are identity and not valid.
 
     Attributes:
-        wrist: world rotations of the wrist joint; ``fingers``: rotations relative to the parent, in SMPL-H's order.
-        sigma_m: deviations of the finger joints; ``residual_m``: distance to the points, NaN where there was none.
+        wrist, place_m: world rotations and places of the wrist joint.
+        fingers: rotations relative to the parent, in SMPL-H's order.
+        sigma_m: deviations of the wrist and the finger joints.
+        residual_m: distance to the points, NaN where there was none.
         scale: length of the hand's bones relative to the body's.
     """
 
     valid: Bool[np.ndarray, " T"]
     wrist: Num[np.ndarray, "T 3 3"]
+    place_m: Num[np.ndarray, "T 3"]
     fingers: Num[np.ndarray, "T 15 3 3"]
-    sigma_m: Num[np.ndarray, "T 15"]
+    sigma_m: Num[np.ndarray, "T 16"]
     residual_m: Num[np.ndarray, "T 21"]
     scale: float
 
@@ -105,16 +111,18 @@ def fit_hand(
     found = HandFit(
         valid,
         np.tile(np.eye(3), (len(valid), 1, 1)),
+        np.zeros((len(valid), 3)),
         np.tile(np.eye(3), (len(valid), 15, 1, 1)),
-        np.full((len(valid), 15), np.inf),
+        np.full((len(valid), 16), np.inf),
         np.full((len(valid), 21), np.nan),
         1.0 + _SCALE_SIGMA * float(state.betas[0]),
     )
-    found.wrist[valid], found.fingers[valid], found.sigma_m[valid] = (
+    found.wrist[valid], found.place_m[valid], found.fingers[valid] = (
         state.local[:, 0],
+        state.trans,
         state.local[:, 1:16],
-        joint_sigma[:, 1:16],
     )
+    found.sigma_m[valid] = joint_sigma[:, :16]
     apart = np.linalg.norm(problem.model.points(state) - evidence.targets_m, axis=-1)
     found.residual_m[valid] = np.where(seen[valid], apart, np.nan)
     near = valid.copy()
@@ -127,6 +135,7 @@ def attach_hands(
     body: BodyModel,
     betas: Num[np.ndarray, " B"],
     local: Num[np.ndarray, "T 24 3 3"],
+    trans_m: Num[np.ndarray, "T 3"],
     sigma_m: Num[np.ndarray, "T 24"],
     hands: Sequence[HandFit | None],
 ) -> tuple[Num[np.ndarray, "T 54 3 3"], Num[np.ndarray, "T 54"], Num[np.ndarray, " 2"]]:
@@ -145,6 +154,7 @@ def attach_hands(
         if hand is None:
             continue
         elbow, wrist, knuckles = 18 + side, 20 + side, 22 + side
+        _reach(body, local, rest, trans_m, sigma_m[:, wrist], (13 + side, 16 + side, elbow, wrist), hand)
         world = forward_kinematics(local, rest, body.parents)[0][:, elbow]
         turned = np.swapaxes(world, -1, -2) @ hand.wrist
         arm = (rest[wrist] - rest[elbow]) / np.linalg.norm(rest[wrist] - rest[elbow])
@@ -157,12 +167,48 @@ def attach_hands(
         local[:, wrist] = fill_rotations(np.swapaxes(forearm, -1, -2) @ turned, hand.valid)
         local[:, knuckles] = np.eye(3)
         fingers[:, side] = fill_rotations(hand.fingers, hand.valid)
-        unsure[:, side] = np.hypot(hand.sigma_m, sigma_m[:, wrist, None])
+        unsure[:, side] = np.hypot(hand.sigma_m[:, 1:], sigma_m[:, wrist, None])
     return (
         np.concatenate([local, fingers.reshape(len(local), 30, 3, 3)], axis=1),
         np.concatenate([sigma_m, unsure.reshape(len(local), 30)], axis=1),
         np.array([hand.scale if hand else 1.0 for hand in hands]),
     )
+
+
+def _reach(
+    body: BodyModel,
+    local: np.ndarray,
+    rest: np.ndarray,
+    trans_m: np.ndarray,
+    sigma_m: np.ndarray,
+    arm: tuple[int, int, int, int],
+    hand: HandFit,
+) -> None:
+    """Bend and swing the ``arm`` (collar to wrist) of ``local`` to a wrist between the body's and the hand's.
+
+    Each weighs as its deviation says.
+    """
+    collar, shoulder, elbow, wrist = arm
+    world, joints = forward_kinematics(local, rest, body.parents)
+    upper, lower = joints[:, elbow] - joints[:, shoulder], joints[:, wrist] - joints[:, elbow]
+    known = hand.valid & np.isfinite(sigma_m)
+    trust = sigma_m[known] ** 2 / (sigma_m[known] ** 2 + hand.sigma_m[known, 0] ** 2)
+    target = upper + lower
+    target[known] += trust[:, None] * (hand.place_m - trans_m - joints[:, wrist])[known]
+    # The elbow's angle that makes the arm as long as the target is far, then the arm's direction.
+    a, b = np.linalg.norm(upper, axis=1), np.linalg.norm(lower, axis=1)
+    wanted = np.arccos(np.clip((a**2 + b**2 - (target**2).sum(1)) / (2 * a * b), -1, 1))
+    hinge = np.cross(upper, lower)
+    sine = np.linalg.norm(hinge, axis=1)
+    bent = np.pi - np.arctan2(sine, (upper * lower).sum(1))
+    known &= sine > _STRAIGHT * a * b
+    axis = np.where(known[:, None], hinge / np.maximum(sine, 1e-12)[:, None], [1.0, 0.0, 0.0])
+    bend = rotations.exp(np.where(known, bent - wanted, 0.0)[:, None] * axis)
+    reached = upper + (bend @ lower[..., None])[..., 0]
+    swung = swing(reached, np.where(known[:, None], target, reached))
+    for joint, above, turn in ((elbow, shoulder, bend), (shoulder, collar, swung)):
+        turned = np.swapaxes(world[:, above], -1, -2) @ turn @ world[:, above] @ local[:, joint]
+        local[known, joint] = turned[known]
 
 
 def _as_body(body: BodyModel, betas: np.ndarray, side: int) -> BodyModel:

@@ -98,7 +98,7 @@ def _swing_limbs(
                 target = points_m[:, following] - points_m[:, own]
                 bone = world @ (rest[child] - rest[joint])
                 known = seen[:, own] & seen[:, following] & (np.linalg.norm(target, axis=-1) > 1e-6)
-                swung = np.swapaxes(world, -1, -2) @ _swing(bone, np.where(known[:, None], target, bone)) @ world
+                swung = np.swapaxes(world, -1, -2) @ swing(bone, np.where(known[:, None], target, bone)) @ world
                 local[:, joint] = local[:, joint] @ swung
 
 
@@ -111,7 +111,7 @@ def _world_rotation(local: np.ndarray, parents: np.ndarray, joint: int) -> np.nd
     return world
 
 
-def _swing(a: np.ndarray, b: np.ndarray) -> np.ndarray:
+def swing(a: np.ndarray, b: np.ndarray) -> np.ndarray:
     """Smallest rotations that take directions a to b; opposite directions turn about any perpendicular."""
     a, b = (v / np.linalg.norm(v, axis=-1, keepdims=True) for v in (a, b))
     axis = np.cross(a, b)
