@@ -124,7 +124,7 @@ def test_hands_hang_on_their_arms_and_fill_the_pictures_between():
 @pytest.mark.parametrize(
     "network",
     [
-        Network(hands_in(ring(4)[:1])[0, 0], presence=0.3),
+        Network(hands_in(ring(4)[:1])[0, 0], presence=0.1),
         Network(hands_in(ring(4)[:1])[0, 0], right=(0.99, 0.01)),
         Network(hands_in(ring(4)[:1])[0, 0] + 300),
     ],

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from studiorecon.detector.hand_landmarks import MIN_PRESENCE, Hand, HandLandmarks, region_of_arm
+from studiorecon.detector.hand_landmarks import MIN_GUESS, MIN_PRESENCE, Hand, HandLandmarks, region_of_arm
 from studiorecon.keypoints.hands import HAND_POINTS, SIDES
 from studiorecon.keypoints.layouts import LAYOUTS
 from studiorecon.people.expected_keypoints import ExpectedKeypoints
@@ -122,7 +122,7 @@ def find_hands(
                 hand = hand_of_arm(arm, network.look(picture, moved))
             if hand is None:
                 first = network.look(picture, region_of_arm(arm.wrist, arm.towards, arm.length_px))
-                if first.presence >= MIN_PRESENCE:
+                if first.presence >= MIN_GUESS:
                     hand = hand_of_arm(arm, network.look(picture, first.region))
             if hand is not None:
                 now[arm.person, arm.side] = arm, hand
