@@ -51,14 +51,14 @@ function action(about) {
     make("label", "", {}, make("input", "", { type: "radio", name: "preset", value: preset, checked: preset === last.preset }),
       make("b", called), make("span", `${time(low_s)} to ${time(high_s)}, likely ${time(seconds)}`), make("span", text)))))
     .catch((failed) => choices.replaceChildren(make("p", failed.message, { className: "soft" })));
-  const begun = last.command && last.unfinished;
+  const begun = last.unfinished && !about.run && !/ snakemake doctor /.test(last.command);
   return [make("div", "", { className: "card", id: "action" }, make("h2", "Make the film"), choices,
     make("div", "", { className: "row" },
       button(begun ? "Go on" : "Make the film", start("film"), { className: "main", id: "make" }),
       button("Check the cameras first", start("doctor"), { id: "check" }))),
   doctor.verdict && make("div", "", { className: "card" }, make("h2", `The cameras are ${doctor.verdict}`), list(doctor.sentences)),
-  last.failed.length && make("p", `Failed: ${last.failed.join(", ")}`, { className: "bad" }),
-  last.log.length && !about.run && make("details", "", { open: !warnings.length }, make("summary", "What the last run said"), make("pre", last.log.join("\n"))),
+  last.why.length && !about.run && make("div", "", { className: "card" }, make("h2", "The last run failed"), list(last.why, { className: "bad" })),
+  last.log.length && !about.run && make("details", "", {}, make("summary", "What the last run said"), make("pre", last.log.join("\n"))),
   warnings.length && make("details", "", {}, make("summary", `${warnings.length} warning${warnings.length > 1 ? "s" : ""}`), list(warnings, { className: "warn" })),
   ].filter(Boolean);
 }

@@ -215,6 +215,26 @@ def test_stop_interrupts_and_the_run_can_go_on(home: Path, stand_in: Path, windo
     wait(lambda: runs.current_run() is None)
 
 
+@pytest.mark.parametrize(
+    ("log", "why"),
+    [
+        (
+            "Job stats:\nLogfile x.log:\n=====\nwarning: dim\ndetect.keypoints: set keypoint_layout\n=====\nend",
+            1,
+        ),
+        ("Using workflow specific profile\nConfig file a is extended\nthere is no dataset; give one\n", 1),
+        ("Job stats:\nall 1\nExecute 1 jobs\n", 0),
+        ("Nothing to be done\n", 0),
+    ],
+)
+def test_a_failed_run_says_why(home: Path, log: str, why: int) -> None:
+    runs.log_file("take").parent.mkdir(parents=True)
+    runs.log_file("take").write_text(f"$ python -m snakemake\n{log}")
+    said = runs.last_run("take")["why"]
+    assert len(said) == why
+    assert not any(line.startswith(("warning", "Using", "Config")) for line in said)
+
+
 def test_a_check_makes_room_for_the_film(home: Path, stand_in: Path, window: LocalServer) -> None:
     request(window, "api/start", {"name": "take", "goal": "doctor"})
     wait((home / "began").exists)

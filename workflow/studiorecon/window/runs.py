@@ -22,11 +22,14 @@ import psutil
 from studiorecon.cli.run_progress import PROGRESS
 from studiorecon.cli.snakemake_call import environment, snakemake_command
 from studiorecon.errors import UserError
+from studiorecon.progress import WARNING
 from studiorecon.scene.files import write_json
 
 _OURS = Path(".snakemake/window/run.json")
 # Snakemake ends its jobs after an interrupt within a second; a job that writes a film may take a few.
 _MAX_ENDING_S = 30.0
+# What Snakemake says before it reads a Snakefile.
+_CHATTER = ("Using workflow", "Config file", "Assuming unrestricted")
 _starting = threading.Lock()
 _children: list[subprocess.Popen[bytes]] = []
 
@@ -49,7 +52,7 @@ def current_run() -> dict[str, Any] | None:
 
 
 def last_run(scene: str) -> dict[str, Any]:
-    """The latest run of a scene: ``failed`` jobs, whether it is ``unfinished``, its ``preset``, and what it said."""
+    """The latest run of a scene: whether it is ``unfinished``, its ``preset``, ``why`` it failed, and its ``log``."""
     progress, log = _read(PROGRESS), log_file(scene)
     lines = log.read_text(encoding="utf-8", errors="replace").splitlines() if log.is_file() else []
     command = shlex.split(lines[0].removeprefix("$ ")) if lines else []
@@ -60,12 +63,25 @@ def last_run(scene: str) -> dict[str, Any]:
         bool(lines) and not any("(100%) done" in line or "Nothing to be done" in line for line in lines)
     )
     return {
-        "failed": mine.get("failed", []),
+        "why": _reasons(lines) if ended_badly else [],
         "unfinished": ended_badly,
         "preset": presets[0] if presets else "",
         "command": lines[0] if lines else "",
         "log": lines[-60:] if ended_badly else [],
     }
+
+
+def _reasons(lines: Sequence[str]) -> list[str]:
+    """The sentences of failed steps, whose logs Snakemake shows between lines of ``=``, or of a refused run."""
+    found, is_log = [], False
+    for line in lines:
+        if line and not line.strip("="):
+            is_log = not is_log
+        elif is_log and line.strip() and not line.startswith(WARNING):
+            found.append(line)
+    if not found and not any(line.startswith("Job stats") for line in lines):
+        found = [line for line in lines[1:] if line.strip() and not line.startswith(_CHATTER)][-3:]
+    return list(dict.fromkeys(found))[-20:]
 
 
 def start_run(goal: str, scene: str, dataset: str, preset: str, overlays: Sequence[str]) -> None:
