@@ -90,17 +90,22 @@ def test_a_film_that_cannot_be_read_is_reported_and_the_others_are_compared(
 CHANGES = {
     "steady": lambda picture: picture,
     "darker": lambda picture: picture // 2,
-    "moved": lambda picture: np.roll(picture, 8, axis=1),
+    "moved a little": lambda picture: np.roll(picture, 3, axis=1),
+    "closer": lambda picture: cv2.resize(picture[6:-6, 8:-8], picture.shape[1::-1]),
     "mirrored": lambda picture: picture[:, ::-1],
     "another film": lambda picture: room(1),
 }
 
 
+@pytest.mark.parametrize("part", [slice(20, 40), slice(36, 40), slice(9, 22)])
 @pytest.mark.parametrize("change", CHANGES)
-def test_a_view_that_changes_within_a_film_is_named(change: str, tmp_path: Path) -> None:
+def test_a_view_that_changes_within_a_film_is_named(change: str, part: slice, tmp_path: Path) -> None:
     film(tmp_path / "a.mp4", 0)
     pictures = list(decode(open_source(tmp_path / "a.mp4", 0.0), 0, 0))
-    write_watchable(tmp_path / "b.mp4", pictures[:20] + [CHANGES[change](p) for p in pictures[20:]], 30.0, 18)
+    pictures[part] = [CHANGES[change](picture) for picture in pictures[part]]
+    write_watchable(tmp_path / "b.mp4", pictures, 30.0, 18)
     said = compare_views({"b": open_source(tmp_path / "b.mp4", 0.0)})[1]
     assert len(said) == (change not in ("steady", "darker"))
-    assert all(sentence.startswith("camera b shows another view in frame 33 of its film") for sentence in said)
+    for sentence in said:
+        frame = int(sentence.removeprefix("camera b shows another view in frame ").split()[0])
+        assert part.start <= frame < part.stop
