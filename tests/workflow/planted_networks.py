@@ -113,7 +113,7 @@ def plant(house: Any, weights: Path) -> None:
             depths.append(depth.astype(np.float32))
             assert depth.shape == shape
     (weights / "planted").mkdir(parents=True)
-    np.savez(weights / "planted/pi3.npz", **pi3)  # type: ignore[arg-type]
+    np.savez(weights / "planted/pi3.npz", **pi3)
     np.savez(weights / "planted/moge.npz", thumbs=np.stack(thumbs), depths=np.stack(depths))
     (weights / "lpips").mkdir()
     for net, trunk in TRUNKS.items():
@@ -122,5 +122,5 @@ def plant(house: Any, weights: Path) -> None:
     package = house.folder / "workflow"
     (package / "planted_networks.py").write_text(Path(__file__).read_text(encoding="utf-8"), encoding="utf-8")
     for name, stands_in in (("pi3", "Pi3"), ("moge", "Moge"), ("difix", "Difix"), ("raft", "Raft")):
-        with open(package / f"studiorecon/models/adapters/{name}.py", "a", encoding="utf-8") as file:
-            file.write(f"\nfrom planted_networks import {stands_in} as ADAPTER  # noqa\n")
+        with open(package / f"studiorecon/models/adapters/{name}.py", "a", encoding="utf-8") as adapter:
+            adapter.write(f"\nfrom planted_networks import {stands_in} as ADAPTER  # noqa\n")

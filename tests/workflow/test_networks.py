@@ -49,7 +49,7 @@ def test_an_enhancer_that_is_a_network_repairs_views_of_the_half_trained_room(ho
     assert not {"background_half", "background_refined"} & set(plan)
     sections = {"enhance": {"enhancer": "residual"}, "background": {"refinement": {"views": 12}}}
     refused = on(house, dataset).snakemake("--dry-run", "--configfile", house.overlay(**sections), check=False)
-    assert "enhance.enhancer is residual: set that to a network (difix, fixer), or the views to 0" in refused.stdout
+    assert "enhance.enhancer is residual: set that to difix or fixer, or the views to 0" in refused.stdout
 
 
 def test_a_network_enhances_every_held_out_camera_in_a_job_of_its_own(

@@ -69,7 +69,7 @@ def test_jobs_ask_for_the_memory_that_the_preset_needs(jobs: dict[str, str]) -> 
 @pytest.mark.parametrize(
     ("changed", "messages"),
     [
-        ({"calibration": {"source": "people"}, "depth": {"reference": "planes"}}, "set calibration.source to one"),
+        ({"calibration": {"source": "people"}, "depth": {"reference": "planes"}}, "set calibration.source to pi3"),
         ({"depth": {"source": "pi3"}}, "needs the depth of every frame"),
         ({"detect": {"source": "auto"}}, "the built-in detector is used"),
         (

@@ -58,19 +58,45 @@ def comotions_files(house: House, folder: Path) -> None:
         names = ("id", "frame_idx", "pose", "betas", "trans", "pred_2d", "pred_3d")
         np.savez(
             folder / f"{camera.name}.npz",
-            **{n: np.array(v, np.float32) for n, v in zip(names, zip(*rows))},  # type: ignore[arg-type]
+            **{n: np.array(v, np.float32) for n, v in zip(names, zip(*rows))},
         )
 
 
-@pytest.fixture(scope="module")
-def ran(tmp_path_factory: pytest.TempPathFactory) -> tuple[House, dict]:
-    """A house in which the paper's preset ran on the embedded back ends, and its scores."""
-    house = make_house(tmp_path_factory.mktemp("paper") / "house", "resources/studio/tiny.yaml")
+def embedded_run(folder: Path) -> House:
+    """A house in which the paper's preset ran on the embedded back ends; ``given`` holds what networks would give."""
+    house = make_house(folder / "house", "resources/studio/tiny.yaml")
     house.snakemake("--cores", "2", "--configfile", PAPER, house.overlay(**SMALL))
     given = house.folder / "given"
     comotions_files(house, given / "bodies")
     for stage, folder in FILES.items():
         shutil.copytree(house.folder / "results/tiny" / stage, given / folder)
+    return house
+
+
+def with_stand_ins(house: House, weights: Path, **more: object) -> tuple[str, ...]:
+    """Options of the presets, and ``more`` settings, with a stand-in of every network that can have one, in a house
+    that ran embedded."""
+    given = house.folder / "given"
+    plant(house, weights)
+    smpl = write_smpl(weights / "smpl/SMPL_NEUTRAL.pkl", BodyModel.load(house.folder / "resources/body.npz"))
+    brought = {stage: {"precomputed": str(given / folder)} for stage, folder in FILES.items()}
+    stand_ins: dict = {
+        "body": str(smpl),
+        "weights": str(weights),
+        "detect": {"source": "precomputed", "precomputed": str(given / "bodies")},
+        "masks": {"source": "precomputed"} | brought["masks"],
+        "views": {"synthesizer": "precomputed", "people": "bodies"} | SMALL["views"] | brought["views"],
+        "people": {"fit": {"vertices": 200}},
+        "background": {"training": {"iterations": 40, "lpips": {"whole": False}}, "refinement": {"views": 6}},
+        "humans": {"iterations": 20, "temporal": {"start": 10, "width": 16}, "losses": {"lpips": {"whole": False}}},
+    }
+    return ("--configfile", PAPER, NETWORKS, house.overlay(**(SMALL | stand_ins | more)))
+
+
+@pytest.fixture(scope="module")
+def ran(tmp_path_factory: pytest.TempPathFactory) -> tuple[House, dict]:
+    """Such a house, and its scores."""
+    house = embedded_run(tmp_path_factory.mktemp("paper"))
     return house, json.loads((house.folder / "results/tiny/report/metrics.json").read_text())
 
 
@@ -125,22 +151,9 @@ def test_the_papers_presets_run_whole_with_a_stand_in_of_every_network_that_can_
     through the recursive module with RAFT, and LPIPS is in every loss: with planted answers and random weights. Files
     stand for CoMotion, SAM 3 and GEN3C alone."""
     house, _ = ran
-    results, given, weights = house.folder / "results/tiny", house.folder / "given", tmp_path / "weights"
+    results = house.folder / "results/tiny"
     render = read_stack(results / "render/heldout.mkv")
-    plant(house, weights)
-    smpl = write_smpl(weights / "smpl/SMPL_NEUTRAL.pkl", BodyModel.load(house.folder / "resources/body.npz"))
-    brought = {stage: {"precomputed": str(given / folder)} for stage, folder in FILES.items()}
-    stand_ins: dict = {
-        "body": str(smpl),
-        "weights": str(weights),
-        "detect": {"source": "precomputed", "precomputed": str(given / "bodies")},
-        "masks": {"source": "precomputed"} | brought["masks"],
-        "views": {"synthesizer": "precomputed", "people": "bodies"} | SMALL["views"] | brought["views"],
-        "people": {"fit": {"vertices": 200}},
-        "background": {"training": {"iterations": 40, "lpips": {"whole": False}}, "refinement": {"views": 6}},
-        "humans": {"iterations": 20, "temporal": {"start": 10, "width": 16}, "losses": {"lpips": {"whole": False}}},
-    }
-    settings = ("--configfile", PAPER, NETWORKS, house.overlay(**(SMALL | stand_ins)))
+    settings = with_stand_ins(house, tmp_path / "weights")
     planned = house.plan(*settings)
     wanted = {"calibration_network": 1, "depth_first": 4, "people_lift": 4, "body_plain": 1}
     wanted |= {"background_half": 1, "background_refined": 1}

@@ -10,8 +10,6 @@ from studiorecon.plan.decisions import Plan
 
 ROOM_MB = 3000
 """A training of the room beside its targets: Gaussians, gradients, moments, LPIPS on the CPU (the demo: 790 MB)."""
-"""Of one pixel of a target: three colours and a weight, float32."""
-"""Height over width of most films; taller ones have the doubled memory of a second attempt."""
 FILMED_PX = 1920
 """Width of pictures where ``capture.width`` is 0: a plan opens no film."""
 _FIT_MB = 1000
@@ -30,6 +28,7 @@ def room_mb(plan: Plan, config: Mapping[str, Any]) -> int:
     width = config["capture"]["width"] or FILMED_PX
     views = len(plan.segments) * config["views"]["views_per_segment"] if config["background"]["views_share"] else 0
     targets = len(plan.training) + views + config["background"]["refinement"]["views"]
+    # 16 bytes a pixel: three colours and a weight. Taller films than 16:9 have the doubled memory of a second attempt.
     return ROOM_MB + round(targets * 16 * (9 / 16) * width**2 / 1e6)
 
 
