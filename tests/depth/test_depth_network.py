@@ -5,7 +5,6 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from pathlib import Path
-from typing import Any
 
 import cv2
 import numpy as np
@@ -14,7 +13,6 @@ from studiorecon.camera_files.colmap import write_model
 from studiorecon.configuration.settings import load
 from studiorecon.depth import network
 from studiorecon.depth.estimates import read_camera_estimate
-from studiorecon.errors import UserError
 from studiorecon.footage.exr import read_depth, write_depth
 from studiorecon.images.plate import write_plate
 from studiorecon.models.adapters import moge, pi3
@@ -95,39 +93,6 @@ DEPTH = np.full((54, 96), 2.0, np.float32)
 
 def text(path: Path, content: np.ndarray) -> None:
     np.save(path, content.astype(str))
-
-
-# What is in the file, what is said, and the content that the sentence asks for.
-REFUSED: dict[str, tuple[Callable[[Path, np.ndarray], Any], np.ndarray, str, Callable[[Path, np.ndarray], Any]]] = {
-    "cam1.exr": (lambda *_: None, DEPTH, r"is missing; .*cam.*\.exr", lambda p, d: write_depth(p, d, np.ones_like(d))),
-    "square.npy": (np.save, np.ones((50, 50)), "another shape than camera cam1 .*undistorted", np.save),
-    "other.npz": (lambda p, d: np.savez(p, colour=d), DEPTH, "looked for as depth", lambda p, d: np.savez(p, depth=d)),
-    "film.npy": (np.save, np.stack([DEPTH] * 3), "save one frame", np.save),
-    "text.npy": (text, DEPTH, "save the depth as floats", np.save),
-    "grey.png": (
-        lambda p, d: cv2.imwrite(str(p), d.astype(np.uint8)),
-        DEPTH,
-        "write a 16-bit grey picture of millimetres",
-        lambda p, d: cv2.imwrite(str(p), (1000 * d).astype(np.uint16)),
-    ),
-}
-
-
-@pytest.mark.parametrize("name", REFUSED)
-def test_a_file_without_depth_changed_as_advised_is_read(name: str, folder: Path) -> None:
-    camera, (write, content, messages, mended) = room_views(WH)[0][0], REFUSED[name]
-    write(folder / name, content)
-    with pytest.raises(UserError, match=messages):
-        read_camera_estimate(folder / name, camera)
-    mended(folder / name, DEPTH)
-    np.testing.assert_allclose(read_camera_estimate(folder / name, camera), 2.0)
-
-
-def test_inverse_depth_below_zero_is_named_and_depth_is_not(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    for sign, warned in ((-1, True), (1, False)):
-        np.save(folder / "signed.npy", sign * DEPTH)
-        read_camera_estimate(folder / "signed.npy", room_views(WH)[0][0])
-        assert ("write depth, not its inverse" in capsys.readouterr().out) == warned
 
 
 def test_pi3s_depth_comes_at_the_pictures_size(

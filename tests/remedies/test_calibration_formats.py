@@ -131,8 +131,8 @@ def cut(file: str, share: float) -> Make:
     return lambda f: (f / file).write_bytes((f / file).read_bytes()[: int(share * (f / file).stat().st_size)])
 
 
-def moving(value: dict[str, Any], camera: int = 1) -> None:
-    value["w2c"][2][camera][0][3] += 1.0
+def moving(value: dict[str, Any], camera: int = 1, by: float = 1.0) -> None:
+    value["w2c"][2][camera][0][3] += by
 
 
 def all_moving(value: dict[str, Any]) -> None:
@@ -172,6 +172,9 @@ ROWS: list[tuple[str, str, Make]] = [
     (f"{FORMATS}/train_meta.py read 1", "dynamic", entries(lambda v: {k: x for k, x in v.items() if k != "w2c"})),
     (f"{FORMATS}/reading.py merged_static", "dynamic",
      entries(all_moving)),
+    ("camera_files/raw_camera.py rigid_camera_from_world 1", "dynamic", entries(lambda v: moving(v, 0, np.nan))),
+    ("scene/user_files.py user_file_context 1", "sfm", text('"principalPoint"', '"other"')),
+    ("scene/user_files.py user_file_context 2", "sfm", entries(lambda v: v | {"views": 5}, "*.sfm")),
     (f"{FORMATS}/train_meta.py read 2", "dynamic", entries(lambda v: v.pop("fn") and moving(v))),
     (f"{FORMATS}/egoexo.py _camera 1", "egoexo", text(",1280,", ",wide,")),
     (f"{FORMATS}/egoexo.py _camera 2", "egoexo",

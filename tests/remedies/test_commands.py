@@ -4,7 +4,9 @@
 from __future__ import annotations
 
 import argparse
+import contextlib
 from collections.abc import Callable
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -12,6 +14,7 @@ import pytest
 from starlette.responses import PlainTextResponse
 from studiorecon import __main__ as steps
 from studiorecon.cli import command
+from studiorecon.cli.snakemake_call import preset_file
 from studiorecon.cli.takes import open_takes
 from studiorecon.configuration import settings as configuration
 from studiorecon.configuration.overlays import check_overlay
@@ -27,14 +30,23 @@ from studiorecon.splatting.device import resolve
 from studiorecon.studio.capture import _clear
 from studiorecon.studio.description import read_description
 from studiorecon.sweep.table import Row, read_rows, row_configuration
+from studiorecon.window import projects
 from studiorecon.window.serving import LocalServer
+from studiorecon.window.shots import save_shot
 
 from tests.made.remedies import follow
 from tests.package.test_settings import GOOD, Outer
 
 Call = Callable[[Path], Any]
 COMMAND, STUDIO, SETTINGS = "cli/command.py", "studio/description.py", "configuration/settings.py"
-FILES = "scene/user_files.py"
+FILES, PROJECTS = "scene/user_files.py", "window/projects.py"
+
+
+@dataclass(frozen=True)
+class Forced:
+    """A section with keys of any name."""
+
+    force: dict[str, str]
 
 
 def written(text: str, name: str, read: Callable[[Path], Any]) -> Call:
@@ -125,6 +137,43 @@ def taken(free: bool) -> Call:
     return call
 
 
+def within(call: Call) -> Call:
+    """The call with its folder as the current one."""
+
+    def there(folder: Path) -> Any:
+        with contextlib.chdir(folder):
+            return call(folder)
+
+    return there
+
+
+def linked(*folders: str) -> Call:
+    def call(here: Path) -> None:
+        for name in folders:
+            film = here / name / "videos/a.mp4"
+            film.parent.mkdir(parents=True)
+            film.write_bytes(b"x")
+            projects.link_folder(str(here / name))
+
+    return call
+
+
+def uploaded(name: str) -> Call:
+    def call(folder: Path) -> None:
+        (folder / "take/videos").mkdir(parents=True)
+        projects.upload_path("take", name)
+
+    return call
+
+
+def shot_saved(name: str) -> Call:
+    def call(folder: Path) -> None:
+        (folder / "take/videos").mkdir(parents=True)
+        save_shot("take", name, f"render:\n  shots:\n    {name}:\n      kind: orbit\n")
+
+    return call
+
+
 def cleared(own: bool) -> Call:
     def call(folder: Path) -> None:
         (folder / "data").mkdir(exist_ok=True)
@@ -147,12 +196,24 @@ ROWS: list[tuple[Any, ...]] = [
     (f"{COMMAND} _capture 2", written("", "a.mp4", command._capture), command._capture),
     ("cli/takes.py open_takes 1", lambda f: open_takes([f / "gone"]), lambda f: open_takes([f])),
     ("cli/takes.py open_takes 2", takes("one/a", "two/a"), takes("one/a", "two/b"), takes("one/a")),
-    (f"{COMMAND} preset_file", lambda _: command.preset_file("loook"), lambda _: command.preset_file("look")),
-    (f"{COMMAND} preset_file", lambda _: command.preset_file("xyz"),
-     written("", "a.yaml", lambda p: command.preset_file(str(p)))),
+    ("cli/snakemake_call.py preset_file", lambda _: preset_file("loook"), lambda _: preset_file("look")),
+    ("cli/snakemake_call.py preset_file", lambda _: preset_file("xyz"),
+     written("", "a.yaml", lambda p: preset_file(str(p)))),
     (f"{COMMAND} finished_scene", scene("gone"), scene("take")),
     (f"{COMMAND} _settings", lambda _: command._settings(argparse.Namespace(name="people.fits")),
      lambda _: command._settings(argparse.Namespace(name="people.fit"))),
+    (f"{PROJECTS} enter 1", within(lambda f: projects.enter(f / "gone")), within(projects.enter)),
+    (f"{PROJECTS} new_project 1", within(lambda _: projects.new_project("studio")),
+     within(lambda _: projects.new_project("a"))),
+    (f"{PROJECTS} new_project 2", within(lambda f: ((f / "a/videos").mkdir(parents=True), projects.new_project("a"))),
+     within(lambda f: ((f / "a/videos").mkdir(parents=True), projects.new_project("b"))),
+     within(lambda f: ((f / "a/videos").mkdir(parents=True), projects.find_project("a")))),
+    (f"{PROJECTS} link_folder 1", within(lambda _: projects.link_folder("take")), within(linked("other/take"))),
+    (f"{PROJECTS} link_folder 2", within(linked("other/take", "third/take")),
+     within(linked("other/take", "third/take2"))),
+    (f"{PROJECTS} upload_path 1", within(uploaded("../a.mp4")), within(uploaded("a.mp4"))),
+    ("window/shots.py save_shot 1", within(shot_saved("a/b")), within(shot_saved("a-b_1"))),
+    ("window/shots.py save_shot 2", within(shot_saved("orbit")), within(shot_saved("mine"))),
     ("window/serving.py LocalServer.__init__", taken(free=False), taken(free=True)),
     ("configuration/overlays.py check_overlay", overlay("- capture"), overlay("capture: {width: 960}")),
     ("__main__.py _section 1", lambda f: steps._section(str(f / "gone.yaml"), "people.fit"),
@@ -165,6 +226,8 @@ ROWS: list[tuple[Any, ...]] = [
     (f"{SETTINGS} _convert 3", setting(inner=3), setting()),
     (f"{SETTINGS} _convert 4", setting(several=3), setting()),
     (f"{SETTINGS} _convert 5", setting(pair=[1]), setting()),
+    (f"{SETTINGS} _convert 6", lambda _: configuration.load(Forced, {"force": 3}, "survey"),
+     lambda _: configuration.load(Forced, {"force": {"people": "on"}}, "survey")),
     (f"{SETTINGS} _scalar", setting(rate="1e-4"), setting(rate=1.0e-4)),
     (f"{SETTINGS} _scalar", setting(on="yes"), setting(on=True), setting(on=False)),
     ("scene/decisions.py apply_forced", forced("shadow", "on"), forced("shadows", "on")),

@@ -4,14 +4,19 @@
 from __future__ import annotations
 
 import os
+import shlex
+import subprocess
+import tempfile
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 
 import pytest
+from studiorecon.errors import UserError
 from studiorecon.plan import dates
 from studiorecon.plan.discovery import open_dataset
 
+from tests.faults.campaign import as_nobody
 from tests.made.remedies import follow
 
 FILMS = ("videos/01.mp4", "videos/02.mp4", "videos/no.mp4")
@@ -176,3 +181,30 @@ ADVISED: dict[str, Callable[[Path], object]] = {
 @pytest.mark.parametrize("place", CALLS)
 def test_a_folder_named_as_advised_is_opened(place: str, tmp_path: Path) -> None:
     follow(place, lambda: CALLS[place](tmp_path), lambda: ADVISED[place](tmp_path))
+
+
+def test_the_command_that_a_closed_file_s_sentence_names_opens_it() -> None:
+    with tempfile.TemporaryDirectory() as name:
+        folder, said = Path(name), list[str]()
+        folder.chmod(0o755)
+        for number, film in enumerate(FILMS):
+            (folder / film).parent.mkdir(exist_ok=True)
+            (folder / film).write_bytes(bytes(number + 1))
+        closed = folder / FILMS[1]
+        if os.geteuid() == 0:
+            os.chown(closed, 65534, 65534)
+        closed.chmod(0)
+
+        def opened() -> None:
+            with as_nobody():
+                try:
+                    open_dataset(folder)
+                except UserError as refusal:
+                    said.append(str(refusal))
+                    raise
+
+        def permitted() -> None:
+            subprocess.run(shlex.split(said[0].rpartition("permit it: ")[2]), check=True)
+            opened()
+
+        follow(f"{FILES} not_permitted 2", opened, permitted)

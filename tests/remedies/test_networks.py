@@ -19,6 +19,7 @@ from studiorecon.models.adapters.lhm import preprocess as cut_out
 from studiorecon.models.catalogue.checksums import PINS, read_pins
 from studiorecon.models.catalogue.preflight import staged_weights
 from studiorecon.models.catalogue.registry import MODELS
+from studiorecon.recursive.sequence import check_gain
 from studiorecon.tracks.bodies import read_bodies, require_used_frames
 from studiorecon.views.frame import fit_network_frame
 
@@ -124,6 +125,8 @@ ROWS: list[tuple[Any, ...]] = [
      staged(pins_lost, lambda f: (f / PINS).unlink())),
     ("models/catalogue/preflight.py staged_weights 1", lambda f: staged_weights(MODELS["fixer"], f),
      staged(nothing, nothing)),
+    ("recursive/sequence.py check_gain 1", lambda _: check_gain(1.2, 0.9), lambda _: check_gain(1.0, 0.9)),
+    ("recursive/sequence.py check_gain 2", lambda _: check_gain(1.05, 0.9), lambda _: check_gain(1.0, 0.9)),
     ("tracks/bodies.py require_used_frames", bodies((0, 7)), bodies((0, 2))),
     ("tracks/bodies.py read_bodies", bodies(conf=np.full((2, 1), np.nan)), bodies()),
     ("models/adapters/comotion.py read_bodies 1", bodies(lacking="pred_2d"), bodies()),

@@ -35,6 +35,14 @@ ROWS: dict[str, tuple[dict[str, Any], tuple[int, int], str, dict[str, Any], tupl
         {"kind": "spline", "keys": [KEYS[0], KEYS[0] | {"picture": 4}]},
         (1, 0),
     ),
+    "nothing to go around": ({"kind": "orbit"}, (1, 0), "render/orbit.py orbit_steps", {"kind": "orbit"}, (2, 0)),
+    "a lost path": (
+        {"kind": "path", "file": "gone"},
+        (4, 0),
+        "render/path_file.py path_steps 1",
+        {"kind": "path", "file": RIGID},
+        (4, 0),
+    ),
     "one key": (
         {"kind": "spline", "keys": KEYS[:1]},
         (4, 0),
@@ -66,7 +74,7 @@ ROWS: dict[str, tuple[dict[str, Any], tuple[int, int], str, dict[str, Any], tupl
     "a scaled pose": (
         {"kind": "path", "file": SCALED},
         (4, 0),
-        "render/path_file.py path_steps 2",
+        "render/path_file.py _of_transforms",
         {"kind": "path", "file": RIGID},
         (4, 0),
     ),

@@ -1,0 +1,193 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Every sentence that tells the user what to do is followed by a test of this folder, or is listed with the reason."""
+
+from __future__ import annotations
+
+import ast
+import re
+from collections.abc import Iterator
+from fnmatch import fnmatchcase
+from functools import cache
+from importlib import import_module
+from pathlib import Path
+from typing import Any
+
+from tests.made.remedies import PACKAGE, sentences_of
+
+# Places whose advice is followed by another test, or where another test brings what is advised and reaches the end.
+ELSEWHERE = {
+    "body/avatar/binding.py bind ?": "body/test_binding.py test_a_strangers_shape_place_and_weights_are_found",
+    "calibration/from_people.py *": "calibration/test_calibration_from_people.py "
+    "test_cameras_are_found_from_two_people_in_sixty_frames",
+    "cameras/calibration_check.py *": "cameras/test_cameras.py test_a_good_calibration_is_kept_to_the_bit",
+    "cameras/refine.py *": "cameras/test_cameras.py test_a_good_calibration_is_kept_to_the_bit",
+    "keypoints/layout_choice.py choose_layout 4": "remedies/test_keypoints.py test_a_layout_named_as_advised_is_taken",
+    "people/association/affinity.py require_measured 1": "people/test_postures.py "
+    "test_who_stands_where_rays_cannot_tell_is_decided_by_posture",
+    "people/association/affinity.py require_measured 2": "people/test_people_lift.py "
+    "test_two_cameras_find_the_same_people_by_them",
+    "people/associate.py _warn_of_nobody ?": "plan/test_files.py test_an_empty_room_asks_nobody",
+    "people/association/rejected_people.py *": "people/test_people_associate.py "
+    "test_whom_two_of_four_cameras_see_is_a_person_and_an_animal_is_left_out",
+    "people/association/acceptance.py *": "people/test_people_associate.py "
+    "test_corrected_identities_replace_what_association_would_say",
+    "people/corrected_identities.py *": "people/test_people_corrected.py test_lines_changed_as_advised_make_a_person",
+    "people/fit.py fit_person ?": "people/test_people_fit.py test_a_person_changed_as_advised_is_fitted",
+    "people/fitting/limbs.py body_scale": "people/test_people_fit.py test_a_person_changed_as_advised_is_fitted",
+    "people/lift.py run ?": "people/test_people_lift.py test_a_depth_that_gives_no_metre_is_refused",
+    "rig/first_depth.py *": "people/test_people_lift.py test_a_depth_that_gives_no_metre_is_refused",
+    "rig/gravity.py check_tilt": "cameras/test_cameras_tilt.py test_people_tell_by_how_much_the_world_leans",
+    "plan/budget.py choose_preset": "plan/test_budget.py test_the_best_score_that_fits_is_chosen_not_the_dearest",
+    "plan/user_inputs.py *": "plan/test_files.py "
+    "test_a_photo_of_a_stranger_is_made_into_a_person_and_asks_for_its_network",
+    "cli/command.py _run_takes ?": "workflow/test_takes.py test_the_command_prints_and_writes_one_table",
+    "render/path_file.py path_steps 2": "remedies/test_shots.py test_a_shot_described_as_advised_is_planned",
+    "scene/user_files.py not_permitted 2": "remedies/test_folder.py "
+    "test_the_command_that_a_closed_file_s_sentence_names_opens_it",
+    "window/projects.py write_capture_yaml": "remedies/test_folder.py test_a_folder_changed_as_advised_is_opened",
+    "rig/metric_scale.py *": "calibration/test_calibration_given_lengths.py "
+    "test_a_height_decides_the_scale_and_says_whose_it_is",
+    "rig/moved_cameras.py *": "cameras/test_cameras.py test_a_good_calibration_is_kept_to_the_bit",
+}
+# Why no test can follow the rest, or what stands for it.
+AGAIN = "a step's own file of another run, or damaged: the advice is another run, which tests/workflow make"
+NETWORK = "a network's own answer or package: the advice is another version of it, which is not here"
+GPU = "a graphics card, a download or a licence that a test does not have"
+SAME_BODY = "files of two body models in one call, which only a command by hand makes"
+FILM = "a film of damage that no encoder here writes: an intact copy is read by every test of films"
+FIGURE = "a judgement on a scene: the advice is other footage, or to look at it"
+ROOT_MAY = "a folder that may not be written: tests may run as root, who may"
+NOT_FOLLOWED = {
+    "window/projects.py enter 2": ROOT_MAY,
+    "background/half_trained_files.py *": AGAIN,
+    "background/preparation.py read_views ?": AGAIN,
+    "camera_files/calibration.py *": AGAIN,
+    "capture/manifest.py *": AGAIN,
+    "deliver/export.py copy_files": AGAIN,
+    "deliver/finished.py *": AGAIN,
+    "depth/first.py *": AGAIN,
+    "depth/layout/votes.py *": AGAIN,
+    "enhance/*": AGAIN,
+    "footage/video.py read_frames_from 2": AGAIN,
+    "masks/segment.py *": AGAIN,
+    "objects/find.py run 2": AGAIN,
+    "people/associate.py _read_of_all": AGAIN,
+    "people/overlay.py run 2": AGAIN,
+    "results.py *": AGAIN,
+    "scene/gaussians_ply.py read_ply": AGAIN,
+    "scene/step_files.py *": AGAIN,
+    "views/*": AGAIN,
+    "window/people.py *": AGAIN,
+    "window/runs.py *": AGAIN,
+    "models/*": NETWORK,
+    "detector/*": NETWORK,
+    "camera_files/colmap_models.py _read 1": GPU,
+    "deliver/fusion.py open3d": GPU,
+    "deliver/motion_files.py *": GPU,
+    "deliver/usd.py *": GPU,
+    "machine/*": GPU,
+    "tracks/bodies.py _rows ?": GPU,
+    "body/avatar/avatar_files.py *": SAME_BODY,
+    "deliver/export.py *": SAME_BODY,
+    "humans/proxy.py run": SAME_BODY,
+    "humans/train.py _read_fit": SAME_BODY,
+    "objects/find.py run 1": SAME_BODY,
+    "render/light.py bodies_over_time": SAME_BODY,
+    "splatting/scene_files.py *": SAME_BODY,
+    "camera_files/colmap_models.py posed_pictures": FILM,
+    "capture/frames.py run 2": FILM,
+    "clocks/offsets.py open_films 2": FILM,
+    "deliver/gltf.py *": FILM,
+    "footage/frames.py *": FILM,
+    "footage/source.py _probe_first_frame ?": FILM,
+    "footage/timing.py *": FILM,
+    "images/flow.py *": FILM,
+    "scene/user_files.py read_bytes": FILM,
+    "scene/user_files.py read_np? *": FILM,
+    "scene/user_files.py read_npy": FILM,
+    "scene/user_files.py user_file_context 3": FILM,
+    "background/*": FIGURE,
+    "calibration/network.py *": FIGURE,
+    "calibration/room_pictures.py *": FIGURE,
+    "depth/fusion.py *": FIGURE,
+    "detect/*": FIGURE,
+    "geometry/lens.py rayless_share 1": FIGURE,
+    "humans/*": FIGURE,
+    "keypoints/motion.py film_motion": FIGURE,
+    "masks/user_masks.py *": FIGURE,
+    "plates/*": FIGURE,
+    "render/light.py run": FIGURE,
+    "render/replacement.py *": FIGURE,
+    "rig/outlier_camera.py *": FIGURE,
+    "rig/world_of_people.py *": FIGURE,
+    "splatting/cpu/rasterise.py *": FIGURE,
+}
+VERBS = (
+    "add|analyse|ask|bring|calibrate|check|choose|copy|correct|cut|delete|display|enhance|exchange|export|fit|force|get|"
+    "give|install|keep|leave|let|link|lower|make|move|name|number|open|pass|permit|plan|put|raise|read|reconstruct|"
+    "remove|rename|render|replace|resize|restore|run|save|score|set|start|take|turn|undistort|use|wait|write"
+)
+# A verb at the beginning of a clause, what a value must be, or a remedy that is filled in.
+INSTRUCTION = re.compile(
+    rf"(?:[;:(,] |\bor |\band |^|so )(?:{VERBS})\b|\bmust\b|did you mean|at most|at least|"
+    r"\{(?:remedy|cure|help_|instead|meant|example|refusal|lower|without|install_remedy|_?[A-Z_]+)\b"
+)
+
+
+def text(node: ast.expr | None) -> str:
+    """A sentence with ``{name}`` for what is filled in."""
+    if isinstance(node, ast.Constant):
+        return str(node.value)
+    if isinstance(node, ast.JoinedStr):
+        return "".join(text(value) for value in node.values)
+    if isinstance(node, ast.FormattedValue):
+        return f"{{{ast.unparse(node.value)}}}"
+    if isinstance(node, ast.IfExp):
+        return f"{text(node.body)} | {text(node.orelse)}"
+    return f"{{{ast.unparse(node)}}}" if node is not None else ""
+
+
+@cache
+def instructions() -> dict[str, str]:
+    """Place → sentence of all that instruct."""
+    made = (sentence for file in sorted(PACKAGE.rglob("*.py")) for sentence in sentences_of(file))
+    return {s.place: text(s.argument) for s in made if INSTRUCTION.search(text(s.argument))}
+
+
+@cache
+def followed() -> set[str]:
+    """The places whose advice a row of this folder follows."""
+    found: set[str] = set()
+    for file in sorted(Path(__file__).parent.glob("test_*.py")):
+        if file != Path(__file__):
+            module = import_module(f"tests.remedies.{file.stem}")
+            tables = [getattr(module, name) for name in ("ROWS", "PLANS", "CALLS") if hasattr(module, name)]
+            found |= {place for table in tables for row in (table.items() if isinstance(table, dict) else table)
+                      for place in _strings(row)}  # fmt: skip
+    return found
+
+
+def _strings(row: Any) -> Iterator[str]:
+    """The texts of a row that look like places."""
+    for part in row if isinstance(row, tuple) else (row,):
+        if isinstance(part, tuple):
+            yield from _strings(part)
+        elif isinstance(part, str) and ".py " in part:
+            yield part.strip()
+
+
+def test_every_advice_is_followed_or_listed_with_the_reason() -> None:
+    listed = [*ELSEWHERE, *NOT_FOLLOWED]
+    left = {
+        place: sentence
+        for place, sentence in instructions().items()
+        if place not in followed() and not any(fnmatchcase(place, pattern) for pattern in listed)
+    }
+    assert not left, "add a row to a table of tests/remedies that does what the sentence says"
+    assert [p for p in listed if not any(fnmatchcase(place, p) for place in instructions())] == [], "no such sentence"
+
+
+def test_tests_that_follow_advice_elsewhere_exist() -> None:
+    for node in ELSEWHERE.values():
+        file, _, name = node.partition(" ")
+        assert f"def {name}(" in (Path(__file__).parents[1] / file).read_text(encoding="utf-8"), node
