@@ -20,16 +20,28 @@ export function say(text, seconds = 8) {
   if (seconds) hiding = setTimeout(() => (at("message").hidden = true), 1000 * seconds);
 }
 
+const GONE = "The window has ended: start studiorecon open again";
+
 async function answer(sent) {
-  const found = await sent.catch(() => { throw new Error("The window has ended: start studiorecon open again"); });
+  const found = await sent.catch(() => { throw new Error(GONE); });
   const held = await found.json().catch(() => ({ error: `the server answered ${found.status}` }));
   if (!found.ok) throw new Error(held.error || `the server answered ${found.status}`);
   return held;
 }
 
 export const get = (address) => answer(fetch(`api/${address}`));
-export const post = (address, given) =>
-  answer(fetch(`api/${address}`, { method: "POST", body: given instanceof Blob ? given : JSON.stringify(given || {}) }));
+export const post = (address, given) => answer(fetch(`api/${address}`, { method: "POST", body: JSON.stringify(given || {}) }));
+
+// A file on its way; unlike fetch, this says how far it is.
+export const upload = (address, file, shown) => new Promise((done, fail) => {
+  const sent = new XMLHttpRequest();
+  sent.open("POST", `api/${address}`);
+  sent.responseType = "json";
+  sent.upload.onprogress = ({ loaded, total }) => shown(total ? Math.floor((100 * loaded) / total) : 100);
+  sent.onload = () => (sent.status === 200 ? done() : fail(new Error(sent.response?.error || `the server answered ${sent.status}`)));
+  sent.onerror = () => fail(new Error(GONE));
+  sent.send(file);
+});
 
 // Runs what a button does; what goes wrong is a sentence at the bottom.
 export const tried = (does) => async (...given) => {

@@ -125,6 +125,7 @@ export async function showPeople(place, name) {
       return make("div", "", { className: "person", style: `--c:${colour(person)}` }, make("b", person || "nobody"), make("div", "", { className: "lanes" }, ...shown));
     }).filter((row, k) => k < people().length || tracks.some((one) => !one.person)));
     undo.disabled = save.disabled = !past.length;
+    if (past.length) lines.dataset.unsaved = 1; else delete lines.dataset.unsaved;
     jobs.replaceChildren();
   }
 
@@ -133,6 +134,7 @@ export async function showPeople(place, name) {
     say("Saving, and looking which jobs depend on it …", 0);
     const { file, planned } = await post("identities", { name, rows: tracks.map((t) => [t.camera, t.track, t.person]) });
     say(`Saved in ${file}`);
+    delete lines.dataset.unsaved;
     const count = Object.values(planned).reduce((a, b) => a + b, 0);
     jobs.replaceChildren(make("div", "", { className: "card" },
       make("p", count ? `${count} jobs depend on it and run again:` : "Nothing depends on it."),

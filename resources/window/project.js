@@ -14,7 +14,8 @@ export const showProject = async (name) => {
   if (!here) at("main").replaceChildren(make("h1", name), make("p", "Reading the videos …", { className: "soft" }));
   const about = await get(`project/${path(name)}`), key = JSON.stringify(about);
   watch(name, about.run);
-  if (key === drawn && here) return;
+  // What somebody is correcting or writing stays.
+  if (here && (key === drawn || document.querySelector("[data-unsaved]"))) return showRun(about.run);
   if (!here) tab = "";
   drawn = key;
   at("main").dataset.name = name;
@@ -67,9 +68,9 @@ export const time = (s) => (s < 90 ? `${Math.round(s)} s` : s < 5400 ? `${Math.r
 
 function more({ name, is_capture, capture_yaml, settings, last }) {
   if (!is_capture) return [];
-  const text = make("textarea", "", { value: capture_yaml, spellcheck: false });
+  const text = make("textarea", "", { value: capture_yaml, spellcheck: false, oninput: () => (text.dataset.unsaved = 1) });
   text.setAttribute("aria-label", "capture.yaml");
-  const save = tried(async () => { await post("capture", { name, text: text.value }); say("capture.yaml is saved"); drawn = ""; showProject(name); });
+  const save = tried(async () => { await post("capture", { name, text: text.value }); say("capture.yaml is saved"); delete text.dataset.unsaved; drawn = ""; showProject(name); });
   return [make("details", "", {}, make("summary", "capture.yaml: frames, time offsets, held-out cameras, heights"), text,
     make("div", "", { className: "row" }, button("Save capture.yaml", save))),
   (last.command || settings) && make("details", "", {}, make("summary", "In a terminal"), last.command && make("pre", last.command.replace(/^\$ /, "")),
@@ -126,7 +127,7 @@ function watch(name, run) {
   asking = setTimeout(tried(async () => {
     if (at("main").dataset.name !== name) return;
     const { run: now, snapshot } = await get("run");
-    if (!now || JSON.stringify([now.scene, now.goal, now.pid]) !== known) return showProject(name);
+    if (!now || JSON.stringify([now.scene, now.goal, now.pid]) !== known) return dispatchEvent(new HashChangeEvent("hashchange"));
     showRun(now, snapshot);
     watch(name, now);
   }), EVERY_MS);

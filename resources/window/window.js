@@ -2,7 +2,7 @@
 // The window: projects at the side, drops, and the page of a project. It asks the server again while a run is on and
 // when somebody comes back to it, and never otherwise.
 
-import { at, button, get, make, path, post, say, tried } from "./dom.js";
+import { at, button, get, make, path, post, say, tried, upload } from "./dom.js";
 import { showProject } from "./project.js";
 
 export const current = () => decodeURIComponent(location.hash.slice(1));
@@ -74,9 +74,9 @@ export const take = tried(async (files) => {
   }
   const failed = [];
   for (const [k, one] of files.entries()) {
-    say(`Copying ${k + 1} of ${files.length}: ${one.path}`, 0);
+    const shown = (percent) => say(`Copying ${k + 1} of ${files.length}: ${one.path}, ${percent} %`, 0);
     const place = whole && !current() ? one.path.split("/").slice(1).join("/") : one.path;
-    try { await post(`upload/${path(name)}?path=${encodeURIComponent(place)}`, one.file); } catch (error) { failed.push(error.message); }
+    try { await upload(`upload/${path(name)}?path=${encodeURIComponent(place)}`, one.file, shown); } catch (error) { failed.push(error.message); }
   }
   say(failed.length ? failed.slice(0, 3).join(". ") : `${files.length} files copied`, failed.length ? 20 : 4);
   const fresh = current() !== name;
@@ -101,5 +101,6 @@ addEventListener("drop", async (event) => {
   take(await dropped(event.dataTransfer.items));
 });
 addEventListener("hashchange", open);
+addEventListener("beforeunload", (event) => document.querySelector("[data-unsaved]") && event.preventDefault());
 addEventListener("visibilitychange", () => document.hidden || open());
 open();

@@ -14,7 +14,7 @@ from pathlib import Path
 import pytest
 import yaml
 from studiorecon.scene.people import read_identities, write_identities
-from studiorecon.window import app
+from studiorecon.window import app, runs
 
 from tests.made.browser import SOFTWARE_GL, Browser, addresses_outside
 from tests.made.serving import served, small_film
@@ -49,6 +49,8 @@ def test_dropped_films_are_shown_and_names_are_text(
     home = tmp_path / "home"
     home.mkdir()
     monkeypatch.chdir(home)
+    started: list[str] = []
+    monkeypatch.setattr(runs, "start_run", lambda goal, *_: started.append(goal))
     for number, name in enumerate(("left", "right")):
         small_film(tmp_path / "desktop" / f"{name}.mp4", number)
     hostile = tmp_path / "desktop/<img src=x onerror=hacked=1>.txt"
@@ -64,6 +66,8 @@ def test_dropped_films_are_shown_and_names_are_text(
         assert browser.run("document.documentElement.scrollWidth <= innerWidth")
         assert {one.partition("/api/")[0] for one in addresses_outside(browser.requested)}
         assert all(one.startswith(server.address("")) for one in addresses_outside(browser.requested))
+        browser.wait("document.getElementById('message').textContent.endsWith('copied')")
+        assert started == ["doctor"]
         (made,) = [folder for folder in home.iterdir() if folder.name.startswith("take-")]
         assert sorted(path.name for path in (made / "videos").iterdir()) == ["left.mp4", "right.mp4"]
 

@@ -179,7 +179,9 @@ def _films(name: str) -> list[Path]:
 def _doctor(report: Path) -> dict[str, Any]:
     try:
         held = json.loads(report.read_text(encoding="utf-8"))
-        return {"verdict": held["verdict"], "sentences": [*held["notes"], *held["advice"]]}
+        # What was not used is shown with the videos.
+        said = [line for line in (*held["notes"], *held["advice"]) if not line.startswith("not used: ")]
+        return {"verdict": held["verdict"], "sentences": said}
     except (OSError, ValueError, KeyError):
         return {}
 
