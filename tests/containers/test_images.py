@@ -4,7 +4,10 @@
 from __future__ import annotations
 
 import os
+import re
+import shutil
 import subprocess
+import sys
 from pathlib import Path
 
 import pytest
@@ -97,6 +100,30 @@ def test_an_image_is_named_in_full() -> None:
     assert read_image("core=studiorecon/core:0.1.0") == ContainerImage("core", "studiorecon/core", "0.1.0")
     with pytest.raises(ValueError, match="not NAME=ADDRESS:VERSION"):
         read_image("core")
+
+
+def test_the_driver_image_holds_the_whole_workflow(tmp_path: Path, root: Path) -> None:
+    """Its files alone plan a film in a folder of a user's own."""
+    text = (root / "envs/driver/Containerfile").read_text()
+    for source, target in re.findall(r"^COPY (\S+) (\S+)$", text, re.MULTILINE):
+        place = tmp_path / target.lstrip("/")
+        place.parent.mkdir(parents=True, exist_ok=True)
+        if (root / source).is_dir():
+            shutil.copytree(root / source, place, ignore=shutil.ignore_patterns("__pycache__"))
+        elif (root / source).name != "requirements.txt":
+            shutil.copy(root / source, place)
+    (tmp_path / "work").mkdir()
+    done = subprocess.run(
+        [sys.executable, "-m", "studiorecon.cli.command", "demo", "--cores", "1", "--", "--dry-run"],
+        cwd=tmp_path / "work",
+        env={**os.environ, "PYTHONPATH": str(tmp_path / "opt/studiorecon/workflow")},
+        text=True,
+        stdout=subprocess.PIPE,
+        stderr=subprocess.STDOUT,
+    )
+    assert done.returncode == 0, done.stdout[-3000:]
+    assert f"Snakefile: {tmp_path}/opt/studiorecon/Snakefile" in done.stdout
+    assert "studio_capture" in done.stdout
 
 
 @pytest.mark.slow

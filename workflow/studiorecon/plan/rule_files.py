@@ -144,13 +144,13 @@ class Files(UserInputs):
 
     def person_tracks(self, wildcards: Any) -> list[str]:
         """The file of one person's tracks, so that changes of other people do not rerun this person's jobs."""
-        return [f"{self._associated(wildcards).who}/{wildcards.person}.tsv"]
+        return [self._who(wildcards, f"{wildcards.person}.tsv")]
 
     def readouts_for(self, wildcards: Any) -> list[str]:
         """The readout times of the cameras; none without ``people.fit.rolling_shutter``."""
         if not self.config["people"]["fit"]["rolling_shutter"]:
             return []
-        return [f"{self._associated(wildcards).who}/readouts.json"]
+        return [self._who(wildcards, "readouts.json")]
 
     def fits(self, wildcards: Any) -> list[str]:
         """Body file of every person."""
@@ -344,3 +344,8 @@ class Files(UserInputs):
 
     def _associated(self, wildcards: Any) -> Any:
         return self.checkpoints.people_associate.get(scene=self._scene(wildcards)).output
+
+    def _who(self, wildcards: Any, name: str) -> str:
+        """A file of the folder ``who``, once it is there; as a result and not where an object storage's copy is."""
+        self._associated(wildcards)
+        return f"results/{self._scene(wildcards)}/people/who/{name}"
