@@ -26,6 +26,9 @@ _SURE = 0.3
 _MAX_OFF = 0.6
 # It is another person's or the other arm's if the network says so this clearly.
 _MAX_WRONG_SIDE = 0.95
+# Confidence is this power of the presence: weights of squared residuals are then as the errors are. On the made studio
+# points are off by 6 % of the hand's length where it is above 0.97, by 8 % to 0.85, by 14 % below.
+_CONFIDENCE_POWER = 6
 # Hands are searched for at most so often, pictures per second: fingers move little beside the wrist in a twentieth of a
 # second, and at 30 it would cost a third of detecting the body.
 _SEARCHED_FPS = 20.0
@@ -158,7 +161,7 @@ def hands_of_rows(
     for (row, side), hand in found.items():
         pixels, valid = working(hand.points)
         out[row, side, :, :2] = np.where(valid[:, None], pixels, np.nan)
-        out[row, side, :, 2] = np.where(valid, hand.presence, 0.0)
+        out[row, side, :, 2] = np.where(valid, hand.presence**_CONFIDENCE_POWER, 0.0)
     return out
 
 
