@@ -1,13 +1,17 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Settings and keys of capture.yaml that messages advise exist, so that a user can follow the advice."""
+"""Settings, their values, keys of capture.yaml, steps and commands that messages advise exist and are accepted."""
 
 from __future__ import annotations
 
 import ast
+import copy
 import re
 from pathlib import Path
+from typing import Any
 
 import yaml
+from snakemake.utils import update_config
+from studiorecon.configuration.schema import mistakes
 from studiorecon.scene import capture_yaml
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -17,6 +21,11 @@ SETTING = re.compile(
     rf"\b(?:{'|'.join(k for k, v in CONFIG.items() if isinstance(v, dict))})\.[a-z_]+(?:\.[a-z_]+)*(?![\w./(])"
 )
 IN_CAPTURE = re.compile(r"\b([a-z_]+): (?:[{\[\d][^\x00]*? )?(?:in|into) capture\.yaml|in capture\.yaml: ([a-z_]+):")
+# ``set depth.source to embedded``, ``views.synthesizer: warp``, with a value and not the beginning of a phrase
+VALUE = re.compile(rf"({SETTING.pattern})(?: to |: )(?!a |an |the |one |{{|it )([a-z0-9_.]+)")
+# ``run masks.network again``, ``snakemake weights``
+STEP = re.compile(r"\brun ([a-z_]+\.[a-z_]+) again")
+TARGET = re.compile(r"\bsnakemake (?:--cores all )?([a-z_]+)\b")
 # Files and texts of other tools: their names have a dot as settings do.
 FILE = re.compile(r"\.(?:json|npz|yaml|svg|ply|txt|md|sfm)$")
 
@@ -68,3 +77,29 @@ def test_keys_of_capture_yaml_that_messages_name_are_read() -> None:
     named = [(p, a or b) for p, text in messages() for a, b in IN_CAPTURE.findall(text)]
     assert len({key for _, key in named}) > 5
     assert [(place, key) for place, key in named if f'"{key}"' not in source] == []
+
+
+def test_values_that_messages_advise_are_accepted() -> None:
+    schema = yaml.safe_load((ROOT / "workflow/schemas/config.schema.yaml").read_text())
+    advised = {found: place for place, text in messages() if "/studio/" not in place for found in VALUE.findall(text)}
+    refused, tried = [], 0
+    for (setting, value), place in advised.items():
+        if exists(setting) and not is_step(setting):
+            nested: Any = yaml.safe_load(value.rstrip("."))
+            for key in reversed(setting.split(".")):
+                nested = {key: nested}
+            config = copy.deepcopy(CONFIG)
+            update_config(config, nested)
+            refused += [(place, wrong) for wrong in mistakes(config, schema)]
+            tried += 1
+    assert tried > 20
+    assert refused == []
+
+
+def test_steps_and_commands_that_messages_name_exist() -> None:
+    rules = "".join(path.read_text() for path in [*ROOT.glob("workflow/**/*.smk"), ROOT / "Snakefile"])
+    named = [(place, step) for place, text in messages() for step in STEP.findall(text)]
+    assert [(place, step) for place, step in named if not is_step(step)] == []
+    targets = [(place, target) for place, text in messages() for target in TARGET.findall(text)]
+    assert len(targets) > 3
+    assert [(p, target) for p, target in targets if f"rule {target}:" not in rules and target != "again"] == []
