@@ -58,7 +58,6 @@ HALF, _LEVELS = 15, 8.0
 
 FREE = (
     r"capture\.yaml: missing at frames.*",  # other frames are chosen, and the log's line of moments says which
-    r"(film lacks frames|keypoints late) at ",  # people move by less than their width in a fifth of a second
 )
 """Where another capture is as whole as this one, or cannot be told from it, and why."""
 

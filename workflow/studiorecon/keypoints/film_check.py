@@ -326,7 +326,7 @@ class _Judge:
         if now.score.enough:
             shifts = range(now.shift - MAX_MISSING - 1, now.shift + MAX_MISSING + 2)
             lift = {s: self.under(now.reading, now.numbering, s).score.per_frame for s in shifts}
-            partly = with_missing_frames(camera, shift_change(motion.frame, lift, now.shift), _NUMBER_SIGMAS)
+            partly = with_missing_frames(camera, shift_change(motion.frame, lift, now.shift), _NUMBER_SIGMAS, _CHANCE)
         partly = partly or without_match(camera, motion.frame, now.score.per_frame, _CHANCE, _LIFT)
         if partly or not (now.score.enough and now.score.lift > _LIFT):
             return partly

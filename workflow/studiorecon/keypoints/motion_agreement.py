@@ -137,11 +137,12 @@ def score_reading(
 @dataclass(frozen=True)
 class ShiftChange:
     """From film frame ``frame`` on keypoints fit the film ``frames`` frames later than before; ``sigmas``: by how many
-    standard deviations each part prefers its own shift."""
+    standard deviations each part prefers its own shift; ``lift``: of the part that fits worse."""
 
     frame: int
     frames: int
     sigmas: float
+    lift: float
 
 
 def shift_change(
@@ -164,7 +165,10 @@ def shift_change(
                 if best is None or of_all + total.max() > best[0]:
                     there, rest = (gain[cut:], gain[:cut]) if later else (gain[:cut], gain[cut:])
                     sigmas = min(_sigmas(there), -_sigmas(rest))
-                    change = ShiftChange(int(frame[cut]), -missing if later else missing, sigmas)
+                    shifts = (main, main + missing) if later else (main + missing, main)
+                    parts = lift[shifts[0]][:cut], lift[shifts[1]][cut:]
+                    worse = min(float(part[np.isfinite(part)].sum()) / len(part) for part in parts)
+                    change = ShiftChange(int(frame[cut]), shifts[0] - shifts[1], sigmas, worse)
                     best = of_all + total.max(), change
     return None if best is None else best[1]
 

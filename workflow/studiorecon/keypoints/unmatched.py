@@ -101,14 +101,18 @@ def without_match(
     ]
 
 
-def with_missing_frames(camera: str, change: ShiftChange | None, sigmas: float) -> list[str]:
-    """A warning where film or keypoints lack frames at one place, by ``sigmas`` or more."""
-    if change is None or change.sigmas < sigmas:
+def with_missing_frames(camera: str, change: ShiftChange | None, sigmas: float, chance: float) -> list[str]:
+    """A warning where film or keypoints lack frames at one place, by ``sigmas`` or more; a part whose lift is
+    ``chance`` shows other people."""
+    if change is None or change.sigmas < sigmas or change.lift < chance:
         return []
-    lacks = "its keypoints lack" if change.frames > 0 else "the film lacks"
+    lacks, repeat = (
+        ("its keypoints lack", "the film repeats") if change.frames > 0 else ("the film lacks", "its keypoints repeat")
+    )
+    count = abs(change.frames)
     return [
         f"the keypoints of camera {camera} match the motion in its pictures, but from about frame {change.frame} on "
-        f"with {abs(change.frames)} frames' difference: {lacks} about {abs(change.frames)} frames there; bring "
+        f"with {count} frames' difference: {lacks} about {count} frames there, or {repeat} them; bring "
         f"keypoints of this very film, or use the frames before (frames: {{first: 0, count: {change.frame}}} in "
         "capture.yaml)"
     ]
