@@ -51,34 +51,17 @@ def workflow(
 ) -> None:
     """Make ``targets`` (below results/<scene>) of the take without ``held_out``; raises with the end of the log when
     that fails."""
-    reported = yaml.safe_load(
-        (ROOT / f"tests/captures/{take.replace('_balancing/', '_')}.yaml").read_text(encoding="utf-8")
-    )
-    reported |= {"held_out": held_out, "frames": {"first": first, "count": frames}}
+    text = (ROOT / f"tests/captures/{take.replace('_balancing/', '_')}.yaml").read_text(encoding="utf-8")
+    reported = yaml.safe_load(text) | {"held_out": held_out, "frames": {"first": first, "count": frames}}
     description = folder / f"{scene}.yaml"
     description.write_text(yaml.safe_dump(reported), encoding="utf-8")
     dataset = Path(os.environ.get("STUDIORECON_REAL_DATA", "../shared/data")).resolve() / take
     path = os.pathsep.join([str(Path(sys.executable).parent), os.environ["PATH"]])
-    command = [
-        sys.executable,
-        "-m",
-        "snakemake",
-        "--snakefile",
-        str(ROOT / "Snakefile"),
-        "--directory",
-        str(folder),
-        "--cores",
-        cores,
-    ]
-    command += ["--configfile", str(ROOT / "config/config.yaml"), *(str(ROOT / overlay) for overlay in overlays)]
-    command += [
-        "--config",
-        f"dataset={dataset}",
-        f"capture_yaml={description}",
-        f"scene={scene}",
-        "body=" + str(ROOT / "resources/body.npz"),
-    ]
-    command += ["--", *(f"results/{scene}/{target}" for target in targets)]
+    command = [sys.executable, "-m", "snakemake", "--snakefile", str(ROOT / "Snakefile"), "--cores", cores]
+    command += ["--directory", str(folder), "--configfile", str(ROOT / "config/config.yaml")]
+    command += [*(str(ROOT / overlay) for overlay in overlays), "--config", f"dataset={dataset}", f"scene={scene}"]
+    command += [f"capture_yaml={description}", "body=" + str(ROOT / "resources/body.npz"), "--"]
+    command += [f"results/{scene}/{target}" for target in targets]
     log = folder / f"{scene}.log"
     with open(log, "a", encoding="utf-8") as file:
         ended = subprocess.run(
@@ -122,10 +105,7 @@ def main() -> None:
     for camera in given.cameras:
         scene = f"without_{camera}"
         workflow(folder, scene, [camera], *about, list(FILMS.values()), [])
-        row = {
-            "ours": measured(folder, scene, camera, "enhance/heldout.mkv"),
-            "render": measured(folder, scene, camera, "render/heldout.mkv"),
-        }
+        row = {version: measured(folder, scene, camera, film) for version, film in FILMS.items()}
         workflow(folder, scene, [camera], *about, ["render/heldout.mkv"], ["config/presets/fourview.yaml"])
         row["three photos"] = measured(folder, scene, camera, "render/heldout.mkv")
         rows[camera] = row

@@ -264,15 +264,9 @@ def the_man(data: Path, camera: str) -> Detections:
     given = read_keypoints(data / "pose2sim_balancing/pose2d_body25b_single" / camera)
     order = np.lexsort((-given.keypoints[..., 2].sum(1), given.frame))
     surest = order[np.unique(given.frame[order], return_index=True)[1]]
-    keypoints = given.keypoints[surest]
-    sure = keypoints[..., 2:] > 0.4
-    return Detections(
-        camera,
-        "body_25b",
-        given.frame[surest],
-        np.zeros(len(surest), int),
-        np.where(sure, keypoints, [np.nan, np.nan, 0.0]),
-    )
+    keypoints, track = given.keypoints[surest], np.zeros(len(surest), int)
+    sure = np.where(keypoints[..., 2:] > 0.4, keypoints, [np.nan, np.nan, 0.0])
+    return Detections(camera, "body_25b", given.frame[surest], track, sure)
 
 
 def real_case(data: Path, every: int, cut: int) -> dict[str, Any]:

@@ -154,17 +154,8 @@ def overlap(first: np.ndarray, second: np.ndarray) -> float:
 def workflow(folder: Path, targets: list[str], cores: int = 2, **config: str) -> None:
     """Run the workflow in ``folder`` up to ``targets``."""
     given = ["--config", *(f"{key}={value}" for key, value in config.items())] if config else []
-    command = [
-        sys.executable,
-        "-m",
-        "snakemake",
-        "-s",
-        str(ROOT / "Snakefile"),
-        "--cores",
-        str(cores),
-        "--directory",
-        str(folder),
-    ]
+    command = [sys.executable, "-m", "snakemake", "-s", str(ROOT / "Snakefile")]
+    command += ["--cores", str(cores), "--directory", str(folder)]
     subprocess.run([*command, *targets, *given], check=True, capture_output=True)
 
 

@@ -114,11 +114,10 @@ def page(result: dict[str, Any]) -> str:
     lines = [
         "# Which effect turns which decision",
         "",
-        f"`python -m benchmarks.effects --seeds {result['seeds']}` printed this on "
-        f"{result['date']}: each effect planted alone in a made "
-        "scene that has none of",
-        "them, and the share of seeds in which a decision turned. Asked: at least 0.95 "
-        "on the diagonal, at most 0.05 beside it.",
+        f"`python -m benchmarks.effects --seeds {result['seeds']}` printed this on {result['date']}: each effect "
+        "planted alone in a made scene that has none of",
+        "them, and the share of seeds in which a decision turned. Asked: at least 0.95 on the diagonal, at most 0.05 "
+        "beside it.",
         "A dot is 0. Scenes are made (`tests/made/studio_world.py`): no threshold is calibrated on real captures.",
         "",
         "| planted | " + " | ".join(f"{letters[e]}" for e in scored) + " |",

@@ -35,14 +35,8 @@ MEMORY_BAR_MB = 2000
 
 def description(frames: int, cameras: int, people: int, size: tuple[int, int]) -> dict:
     """A plain studio of that length; nobody recorded keypoints' faults, so that the same people are found in all."""
-    return {
-        "seed": 3,
-        "frames": frames,
-        "size": list(size),
-        "people": people,
-        "cameras": {"training": cameras, "held_out": 1},
-        "effects": {"contact_shading": 0.5},
-    }
+    plain = {"seed": 3, "effects": {"contact_shading": 0.5}, "cameras": {"training": cameras, "held_out": 1}}
+    return plain | {"frames": frames, "size": list(size), "people": people}
 
 
 def recorded(folder: Path) -> dict[str, dict[str, float]]:

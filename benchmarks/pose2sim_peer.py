@@ -36,23 +36,15 @@ def pose2sim_points(
     config = {
         "project": {"project_dir": str(folder), "multi_person": False, "frame_rate": 60, "frame_range": "all"},
         "pose": {"pose_model": "BODY_25B"},
-        "triangulation": {
+        "triangulation": dict.fromkeys(("remove_incomplete_frames", "show_interp_indices", "make_c3d"), False)
+        | {
             "reproj_error_threshold_triangulation": 15,
             "likelihood_threshold_triangulation": 0.3,
-            "min_cameras_for_triangulation": 2,
-            "interpolation": "none",
-            "interp_if_gap_smaller_than": 0,
-            "fill_large_gaps_with": "nan",
-            "remove_incomplete_frames": False,
-            "sections_to_keep": "all",
-            "min_chunk_size": 1,
-            "show_interp_indices": False,
-            "make_c3d": False,
             "undistort_points": True,
-            "handle_LR_swap": False,
-            "max_distance_m": 1.0,
-            "max_unseen_frames": 100,
-        },
+        }
+        | {"min_cameras_for_triangulation": 2, "min_chunk_size": 1, "sections_to_keep": "all", "handle_LR_swap": False}
+        | {"interpolation": "none", "interp_if_gap_smaller_than": 0, "fill_large_gaps_with": "nan"}
+        | {"max_distance_m": 1.0, "max_unseen_frames": 100},
     }
     subprocess.run(
         [str(python), "-c", _RUN, json.dumps(config)], check=True, capture_output=True, text=True, cwd=folder
