@@ -47,7 +47,7 @@ _VOIDS = {effect.name for effect in EARLY if effect.void_reason}
 # Effect → those that void it while they are on.
 HIDING = {effect.name: _VOIDS & set(effect.hidden_by) for effect in EARLY}
 # Effects that only people show.
-OF_PEOPLE = {"moving_shadows"}
+OF_PEOPLE = {"moving_shadows", "hands"}
 TIMES = 3
 
 

@@ -103,7 +103,8 @@ def arms_in_view(
             if end is None and large[k, frame, side] and expected is not None:
                 end = arm_end(own.layout, expected, side)
             if end is not None:
-                arms.append(Arm(frame, row, side, k, *in_footage(np.array(end)), float(large[k, frame, side])))
+                wrist, towards = in_footage(np.array(end))
+                arms.append(Arm(frame, row, side, k, wrist, towards, float(large[k, frame, side])))
     return arms
 
 
