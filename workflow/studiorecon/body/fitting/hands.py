@@ -39,9 +39,9 @@ _HIGH = np.array([[0.2, 0.45, 1.5], [0.1, 0.1, 1.8], [0.1, 0.1, 1.3]])
 _THUMB_LOW = np.array([[-0.5, -0.8, -0.7], [-0.2, -0.3, -0.6], [-0.1, -0.1, -0.7]])
 _THUMB_HIGH = np.array([[0.5, 0.8, 0.9], [0.2, 0.3, 1.0], [0.1, 0.1, 1.4]])
 _UNSEEN_RAD = 0.1  # of joints that move no point: any number, so that the equations have one solution
-# Hands of equal bodies differ by 6 % in length (one deviation). A hand's points are 3 mm from its joints, in each frame
-# and on average.
-_SCALE_SIGMA, _POINT_SIGMA_M = 0.06, 0.003
+# Hands of equal bodies differ by a few per cent in length, but detectors draw curled hands up to a tenth too short: a
+# looser scale follows the detector. Its points are 6 mm from the joints in each frame, and on average.
+_SCALE_SIGMA, _POINT_SIGMA_M = 0.02, 0.006
 # The palm's points, which start the fit: wrist and the roots of all fingers; three of them fix a hand.
 _PALM = (0, 1, 5, 9, 13, 17)
 _MIN_POINTS = 8
