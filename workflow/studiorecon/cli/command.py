@@ -104,6 +104,8 @@ def _parser() -> argparse.ArgumentParser:
     for made in (demo, run):
         made.add_argument("--preset", metavar="P", help=f"{', '.join(preset_names())}, or a file of your own")
         made.add_argument("--budget", metavar="MIN", type=float, help="minutes it may take: chooses the preset")
+    real = "a first look at a real take instead: a folder with Pose2Sim's demo (default: STUDIORECON_REAL_DATA)"
+    demo.add_argument("--real", nargs="?", const="", metavar="DIR", help=real)
     _add_plan_arguments(plan)
     _add_view_arguments(view)
     _add_window_arguments(window)
@@ -150,6 +152,12 @@ def _version() -> str:
 
 
 def _demo(options: argparse.Namespace) -> int:
+    if options.real is not None:
+        from studiorecon.cli.real_demo import find_real_take, settings_of
+
+        take = find_real_take(options.real)
+        options.rest, options.preset = [*options.rest, "--config", *settings_of(take)], options.preset or "look"
+        return _snakemake("look", str(take), options)
     return _snakemake("", _DEMO, options)
 
 
