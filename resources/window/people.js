@@ -137,7 +137,7 @@ export async function showPeople(place, name) {
     delete lines.dataset.unsaved;
     const count = Object.values(planned).reduce((a, b) => a + b, 0);
     jobs.replaceChildren(make("div", "", { className: "card" },
-      make("p", count ? `${count} jobs depend on it and run again:` : "Nothing depends on it."),
+      make("p", count ? `${count} jobs run again, and what depends on their outcome:` : "Nothing depends on it."),
       make("p", Object.entries(planned).map(([rule, n]) => `${rule.replaceAll("_", " ")}${n > 1 ? ` × ${n}` : ""}`).join(", "), { className: "soft" }),
       count && button("Run them again", tried(async () => { await post("start", { name, goal: "film" }); showProject(name); }), { className: "main", id: "again" })));
   }), { className: "main", id: "save" });
