@@ -7,5 +7,6 @@
   film;
 * ``second_network`` adds a network of the user (``top_down``: one person a crop, ``one_stage``: the whole picture);
   ``network_files`` opens both;
+* ``hand_landmarks`` places the fingers of a hand at the end of an arm;
 * ``film_rotation`` measures whether a film is turned.
 """

@@ -5,6 +5,7 @@ Inputs are files or a detector's output; outputs are ``scene.people.Detections``
 order:
 
 * ``layouts``: names and orders, SMPL's joints among them; ``layout_choice``: the layout of keypoints without a name;
+  ``hands``: points of hands, among recorded ones too;
 * ``readers`` opens a user's files (``file_numbers``, ``picture_content``, ``result_files``, ``deeplabcut``,
   ``mediapipe``);
 * ``film_check`` compares them with the film (``numbering``, ``coordinate_readings``, ``motion``, ``motion_agreement``,

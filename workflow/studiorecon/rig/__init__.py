@@ -7,6 +7,7 @@ uncertainty.
 What cameras see
     ``active_cameras``    cameras that see people
     ``body_points``       people's keypoints by their names
+    ``hand_sizes``        how large hands are, and which are searched for
     ``correspondences``   points that several cameras see
     ``room_picture``      the room in one camera
     ``floor_marks``       points on the floor that cameras share

@@ -104,7 +104,6 @@ PAPER_CHOICES: Mapping[str, str] = {
     "temporal_appearance": "on",
     "enhancement": "on",
     "injection": "on",
-    "hands": "off",
     "exposure": "off",
     "changing_light": "off",
     "closed_path": "on",
