@@ -372,7 +372,7 @@ def detected(description: Path, frames: int, body: BodyModel) -> dict[tuple[int,
         rng = np.random.default_rng(number)
         for frame in range(frames):
             tracer = Tracer(solids + troupe.at(frame)[0])
-            found[number, frame] = detect(points[frame], lens, tracer, len(solids), d.detections, rng, 25)
+            found[number, frame] = detect(points[frame], lens, tracer, len(solids), d.detections, rng)
     return found
 
 

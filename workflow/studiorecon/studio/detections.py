@@ -28,16 +28,16 @@ def detect(
     first_actor: int,
     options: DetectionOptions,
     rng: np.random.Generator,
-    body_points: int,
+    body_points: int | None = None,
 ) -> list[Float[np.ndarray, "K 3"]]:
     """Detections of people in one camera and frame: pixels (centres at +0.5) and confidence each, 0 = missing.
 
-    ``points_m`` are all people's keypoints, those of the hands after ``body_points`` of the body; ``tracer`` holds the
+    ``points_m`` are all people's keypoints, hands after the ``body_points`` of bodies; ``tracer`` holds the
     room and then, from index ``first_actor``, the people. Visible points get a confidence near 0.9, points behind the
     own body near 0.55. Points behind other people or objects have one near 0.2 or are missing; points outside the
     picture are missing. A person with fewer than five good points of the body is not reported.
     """
-    people = []
+    people, body_points = [], points_m.shape[1] if body_points is None else body_points
     width, height = lens.wh
     for number, points in enumerate(points_m):
         pixels, depth = project(lens, points)
