@@ -92,7 +92,7 @@ def _parser() -> argparse.ArgumentParser:
     view = word("view", _view, "show a finished scene's page in the browser", runs=False)
     settings = word("settings", _settings, "print every setting with its meaning and default", runs=False)
     for made in (doctor, look, run):
-        several = {"nargs": "+"} if made is run else {}
+        several: dict[str, Any] = {"nargs": "+"} if made is run else {}
         films = "the capture: videos/ with one file per camera, and optional calibration, keypoints, masks, depth"
         made.add_argument("folder", type=Path, metavar="DIR", help=films, **several)
     run.add_argument(

@@ -35,7 +35,7 @@ class Files(UserInputs):
         if not self.plan.from_people:
             return self.plan.cameras
         found = self.checkpoints.calibration_from_people.get(scene=self._scene(wildcards)).output.calibration
-        placed = read_lenses(Path(found))
+        placed = read_lenses(_fetched(found))
         return [camera for camera in self.plan.cameras if camera in placed]
 
     def training(self, wildcards: Any) -> list[str]:
@@ -140,7 +140,7 @@ class Files(UserInputs):
         """Ids of the people from association; none, without waiting for it, when the room is known to be empty."""
         if not self.plan.people:
             return []
-        return read_people(Path(self._associated(wildcards).people))
+        return read_people(_fetched(self._associated(wildcards).people))
 
     def person_tracks(self, wildcards: Any) -> list[str]:
         """The file of one person's tracks, so that changes of other people do not rerun this person's jobs."""
@@ -275,7 +275,7 @@ class Files(UserInputs):
         return self.plan.forced_effects.get(effect) or self._decided(effect, wildcards).verdict
 
     def _decided(self, effect: str, wildcards: Any) -> Decision:
-        decided = Path(self.checkpoints.survey_decide.get(scene=self._scene(wildcards)).output.decisions)
+        decided = _fetched(self.checkpoints.survey_decide.get(scene=self._scene(wildcards)).output.decisions)
         with step_file_context(decided):
             return read_decisions(decided)[effect]
 
@@ -349,3 +349,11 @@ class Files(UserInputs):
         """A file of the folder ``who``, once it is there; as a result and not where an object storage's copy is."""
         self._associated(wildcards)
         return f"results/{self._scene(wildcards)}/people/who/{name}"
+
+
+def _fetched(output: Any) -> Path:
+    """Where a checkpoint's output is; Snakemake fetches one that only an object storage has, and asks again."""
+    if getattr(output, "is_storage", False) and not Path(output).exists():
+        with output.open():
+            pass
+    return Path(output)
