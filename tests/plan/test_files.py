@@ -140,8 +140,22 @@ def test_association_says_who_is_there(configured, home, tmp_path, found):
     assert files.fits(SCENE) == [f"results/capture/people/p{k}.npz" for k in (0, 1)], "the rejected is nobody"
     assert files.people(Wildcards()) == files.people(SCENE), "a target without wildcards is of the run's own scene"
     person = Wildcards(scene="capture", person="p1")
-    assert files.person_tracks(person) == ["who/p1.tsv"]
+    assert files.person_tracks(person) == ["results/capture/people/who/p1.tsv"], "not where a bucket's copy is"
     assert set(requested.requested) == {"people_associate"}
+
+
+def test_what_only_a_bucket_has_is_fetched_before_it_is_read(configured, home, tmp_path):
+    class Stored(str):
+        is_storage = True
+
+        def open(self) -> None:
+            raise LookupError(self)
+
+    output = Wildcards(people=Stored(tmp_path / "nowhere/people.tsv"))
+    checkpoint = Wildcards(get=lambda scene: Wildcards(output=output))
+    files = files_of(configured(), home, Wildcards(people_associate=checkpoint))
+    with pytest.raises(LookupError, match="nowhere"):
+        files.people(SCENE)
 
 
 def test_an_empty_room_asks_nobody(configured, capture, home, tmp_path):
