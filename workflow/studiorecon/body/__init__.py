@@ -5,6 +5,7 @@ Inputs are poses and shapes, or 3D points to fit. Outputs are joints, surfaces, 
 reading order:
 
 * ``skinning``: forward kinematics and blend skinning; ``model``: the bundled body, or a user's SMPL file;
+  ``fingers``: the 30 joints that a body can have after its 24; ``hands``: their axes, and hands of another size;
 * ``person_files``: a person's motion as a file; ``person_boxes``, ``silhouettes``: where bodies are in images;
   ``capsules``: which light they block from the floor;
 * ``fitting``: pose and shape from points over time; ``avatar``: Gaussians in the rest pose and their motion.

@@ -21,9 +21,10 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from studiorecon.body import skinning
+from studiorecon.body.fingers import Fingers, add_fingers
 from studiorecon.errors import UserError
 from studiorecon.geometry import rotations
-from studiorecon.keypoints.layouts import FINGER_NAMES, HAND_POINT_NAMES, JOINT_NAMES
+from studiorecon.keypoints.layouts import JOINT_NAMES
 from studiorecon.scene.user_files import read_npz, user_file_context
 
 if TYPE_CHECKING:
@@ -36,24 +37,6 @@ _SMPL_VERTICES = {
     "right_big_toe": 6617, "right_small_toe": 6624, "right_heel": 6787,
 }  # fmt: skip
 _SMPL_LIMBS = ("shoulder", "elbow", "wrist", "hip", "knee", "ankle")
-
-
-@dataclass(frozen=True)
-class Fingers:
-    """What turns a body of 24 joints into one whose fingers move.
-
-    Attributes:
-        template_m, directions: rest joints, and metres per unit of beta, in the order of ``FINGER_NAMES``.
-        vertices, joints, shares: vertices on fingers, the joints of each, and their shares of the hand's weight.
-        tips: vertices whose mean is the tip of each finger, left hand first, fingers in the joints' order.
-    """
-
-    template_m: Num[np.ndarray, "30 3"]
-    directions: Num[np.ndarray, "30 3 B"]
-    vertices: Integer[np.ndarray, " N"]
-    joints: Integer[np.ndarray, "N 3"]
-    shares: Num[np.ndarray, "N 3"]
-    tips: Integer[np.ndarray, "10 M"]
 
 
 @dataclass(frozen=True)
@@ -132,41 +115,7 @@ class BodyModel:
 
         With the fingers' rotations zero its surface is that of 24 joints.
         """
-        own, names, first = self.fingers, self.names + FINGER_NAMES, len(self.names)
-        if own is None:
-            return self
-        parents = [
-            first + j - 1 if j % 3 else self.names.index(f"{n.split('_')[0]}_hand") for j, n in enumerate(FINGER_NAMES)
-        ]
-        weights: np.ndarray = np.zeros((self.vertex_count, len(names)), np.float32)
-        weights[:, :first] = self.weights
-        hands = np.array([self.names.index(f"{side}_hand") for side in ("left", "right")])
-        moved = self.weights[own.vertices][:, hands].sum(1)
-        weights[np.ix_(own.vertices, hands)] = 0.0
-        for k in range(own.joints.shape[1]):
-            weights[own.vertices, first + own.joints[:, k]] = moved * own.shares[:, k]
-        points = [point for side in HAND_POINT_NAMES for point in side[1:]]
-        on_vertices = np.zeros((len(points), self.vertex_count))
-        on_joints = np.zeros((len(self.keypoint_names) + len(points), len(names)))
-        on_joints[: len(self.keypoint_names), :first] = self.keypoint_joints
-        for k, point in enumerate(points):
-            if point in FINGER_NAMES:
-                on_joints[len(self.keypoint_names) + k, names.index(point)] = 1.0
-            else:
-                tip = own.tips[FINGER_NAMES.index(f"{point[:-1]}3") // 3]
-                on_vertices[k, tip] = 1 / len(tip)
-        return replace(
-            self,
-            names=names,
-            parents=np.append(self.parents, parents),
-            joint_template_m=np.concatenate([self.joint_template_m, own.template_m]),
-            joint_directions=np.concatenate([self.joint_directions, own.directions]),
-            weights=weights,
-            keypoint_names=(*self.keypoint_names, *points),
-            keypoint_vertices=np.concatenate([self.keypoint_vertices, on_vertices]),
-            keypoint_joints=on_joints,
-            fingers=None,
-        )
+        return self if self.fingers is None else add_fingers(self, self.fingers)
 
     def rest_vertices(self, betas: Num[np.ndarray, " B"]) -> Num[np.ndarray, "V 3"]:
         """The shaped T-pose, pelvis at its rest position. Raises ValueError for more betas than shape and size."""

@@ -4,5 +4,5 @@
 In reading order: ``fit`` (the entry point), ``start`` (initial pose), ``prior`` (pose prior), ``point_model`` (the
 points and their derivatives), ``problem`` and ``normal_equations`` (cost and its linearisation), ``elimination`` (their
 solution), ``levenberg_marquardt`` (the solver), ``multi_start`` (other bodies that explain the points as well),
-``paper_solver`` (the paper's fit taken literally).
+``hands`` (fingers, and arms that reach to them), ``paper_solver`` (the paper's fit taken literally).
 """

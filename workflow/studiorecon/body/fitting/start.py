@@ -111,7 +111,7 @@ def _world_rotation(local: np.ndarray, parents: np.ndarray, joint: int) -> np.nd
     return world
 
 
-def swing(a: np.ndarray, b: np.ndarray) -> np.ndarray:
+def swing(a: Num[np.ndarray, "T 3"], b: Num[np.ndarray, "T 3"]) -> Num[np.ndarray, "T 3 3"]:
     """Smallest rotations that take directions a to b; opposite directions turn about any perpendicular."""
     a, b = (v / np.linalg.norm(v, axis=-1, keepdims=True) for v in (a, b))
     axis = np.cross(a, b)
