@@ -13,6 +13,7 @@ from typing import Any
 import pytest
 from starlette.responses import PlainTextResponse
 from studiorecon import __main__ as steps
+from studiorecon.board.pattern import read_board
 from studiorecon.cli import command
 from studiorecon.cli.snakemake_call import preset_file
 from studiorecon.cli.takes import open_takes
@@ -38,6 +39,7 @@ from tests.made.remedies import follow
 from tests.package.test_settings import GOOD, Outer
 
 Call = Callable[[Path], Any]
+BOARD = "{columns: 10, rows: 7, square_m: 0.04}"
 COMMAND, STUDIO, SETTINGS = "cli/command.py", "studio/description.py", "configuration/settings.py"
 FILES, PROJECTS = "scene/user_files.py", "window/projects.py"
 
@@ -67,6 +69,10 @@ def overlay(text: str) -> Call:
 
 def section(text: str) -> Call:
     return written(text, "mine.yaml", lambda path: steps._section(str(path), "people.fit"))
+
+
+def board(text: str) -> Call:
+    return written(text, "board.yaml", read_board)
 
 
 def setting(**changed: Any) -> Call:
@@ -261,6 +267,13 @@ ROWS: list[tuple[Any, ...]] = [
      studio("cameras: {layout: arc, training: 3, held_out: 2}")),
     (f"{STUDIO} _check_ranges 4", studio("cameras: {layout: ring, training: 3, held_out: 4}"),
      studio("cameras: {layout: ring, training: 3, held_out: 3}")),
+    *[("board/pattern.py " + place, board(wrong), *map(board, right)) for place, wrong, *right in (
+        ("read_board 1", "{cols: 10, rows: 7, square_m: 0.04}", BOARD),
+        ("read_board 2", "{columns: 10, rows: 7}", BOARD),
+        ("read_board 3", BOARD.replace("}", ", dictionary: 4X4}"), BOARD.replace("}", ", dictionary: DICT_4X4_50}")),
+        ("read_board 4", BOARD.replace("7", "8"), BOARD, BOARD.replace("}", ", dictionary: DICT_4X4_50}")),
+    )],
+    ("board/pattern.py _from_caliscope", written("[a]\n", "charuco.toml", read_board), board(BOARD)),
     ("sweep/table.py read_rows 1", sweep("base|||", "a b|||"), sweep("base|||", "a-b|||")),
     ("sweep/table.py read_rows 2", sweep("base|||", "a|||", "a|||"), sweep("base|||", "a|||", "b|||")),
     ("sweep/table.py read_rows 3", sweep("a|||"), sweep("base|||", "a|||")),
