@@ -69,15 +69,15 @@ def offset_changes_s(
     95 % interval; NaN and inf where people do not determine it."""
     end_s = {clock.camera: float(clock.own_s[-1]) for clock in clocks}
     own_s = {clock.camera: clock.own_s for clock in clocks}
-    both, reference = [], None
+    parts = []
     for first in (True, False):
         part = []
         for d in seen:
             at = own_s[d.camera][np.clip(d.frame, 0, len(own_s[d.camera]) - 1)]
             part.append(d.only(at <= part_s if first else at >= end_s[d.camera] - part_s))
-        lags = people_lags(part, clocks, rate, lenses)[0]
-        reference = choose_reference(lags, len(clocks)) if reference is None else reference
-        both.append(estimate_offsets(lags, len(clocks), reference))
+        parts.append(people_lags(part, clocks, rate, lenses)[0])
+    reference = choose_reference(parts[0], len(clocks))
+    both = [estimate_offsets(lags, len(clocks), reference) for lags in parts]
     change = np.array([late.seconds - early.seconds for early, late in zip(*both, strict=True)])
     half = np.array([np.hypot(early.half_s, late.half_s) for early, late in zip(*both, strict=True)])
     half[reference] = np.min(np.delete(half, reference), initial=np.inf)
