@@ -5,6 +5,7 @@ with those of the other cameras at one end of the film only."""
 from __future__ import annotations
 
 from collections.abc import Sequence
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -13,6 +14,9 @@ from studiorecon.clocks.posterior import choose_reference, estimate_offsets
 from studiorecon.clocks.sound import MAX_DRIFT_PPM
 from studiorecon.scene.clocks import Clock
 from studiorecon.scene.people import Detections
+
+if TYPE_CHECKING:
+    from jaxtyping import Float
 
 # A shorter stretch determines no lag by people, who are then seen for a second at most.
 _MIN_STRETCH_S = 1.5
@@ -64,7 +68,7 @@ def lost_frames_notes(
 
 def offset_changes_s(
     seen: Sequence[Detections], clocks: Sequence[Clock], rate: float, lenses: Lenses, part_s: float
-) -> tuple[np.ndarray, np.ndarray]:
+) -> tuple[Float[np.ndarray, " C"], Float[np.ndarray, " C"]]:
     """(C,) seconds by which every camera's offset is later at the films' end than at their beginning, and half of the
     95 % interval; NaN and inf where people do not determine it."""
     end_s = {clock.camera: float(clock.own_s[-1]) for clock in clocks}

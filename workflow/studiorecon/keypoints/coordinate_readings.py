@@ -115,3 +115,16 @@ def apply_reading(reading: Num[np.ndarray, "2 3"], points: Num[np.ndarray, "... 
 
 def _then(first: np.ndarray, second: np.ndarray) -> np.ndarray:
     return second @ np.vstack([first, [0, 0, 1.0]])
+
+
+def convert_keypoints(
+    keypoints: Num[np.ndarray, "D K 3"], reading: Reading, usual: Reading
+) -> Num[np.ndarray, "D K 3"]:
+    """The keypoints as they should have been written, for ``usual`` to give the pixels that ``reading`` gives."""
+    if reading is usual:
+        return keypoints
+    inverse = np.linalg.inv(np.vstack([usual.film_from_recorded, [0, 0, 1.0]]))[:2]
+    missing = (keypoints[..., :2] == 0).all(-1) | ~(keypoints[..., 2] > 0)
+    points = apply_reading(inverse, apply_reading(reading.film_from_recorded, keypoints[..., :2]))
+    points = np.where(missing[..., None], keypoints[..., :2], points)
+    return np.concatenate([points, keypoints[..., 2:]], axis=-1)

@@ -13,6 +13,7 @@ from studiorecon.keypoints.coordinate_readings import (
     Reading,
     affine,
     apply_reading,
+    convert_keypoints,
     share_readings,
     size_readings,
     turned_readings,
@@ -142,8 +143,7 @@ def check_against_film(recorded: RecordedKeypoints, numbers: Numberings, film: F
     if numbering is None:
         return Verdict(recorded.renumbered(usual.frame_of, film.frames), (), described, None)
     chosen = judge.best(plain, numbering)
-    said = [described] if described else []
-    refusal = ""
+    said, refusal = ([described] if described else []), ""
     wrong = judge.alternative(chosen, as_read) if chosen.score.enough else None
     if wrong is not None:
         chosen, refusal = judge.taken(wrong, chosen)
@@ -160,9 +160,9 @@ def check_against_film(recorded: RecordedKeypoints, numbers: Numberings, film: F
         said.append(judge.shifted(chosen))
     if not refusal:
         said += judge.unmatched(chosen)
-    moved = _in_film_pixels(recorded, chosen.reading, as_read)
+    points = convert_keypoints(recorded.keypoints, chosen.reading, as_read)
     # Limbs are compared in the film's pixels: shares of a wide picture stretch them.
-    layout, of_limbs = choose_layout(moved.keypoints, film.layout, film.path or f"keypoints of camera {film.camera}")
+    layout, of_limbs = choose_layout(points, film.layout, film.path or f"keypoints of camera {film.camera}")
     said += [of_limbs] if of_limbs else []
     if not refusal and not (chosen.score.enough and chosen.score.lift > _LIFT):
         said += upside_down(film.camera, recorded.keypoints, LAYOUTS[layout].keypoints)
@@ -178,7 +178,8 @@ def check_against_film(recorded: RecordedKeypoints, numbers: Numberings, film: F
             f"keypoint_first_frame: {{{film.camera}: {recorded.frame[0]}}}"
         )
     lift = chosen.score.lift if chosen.score.enough else None
-    return Verdict(replace(moved, layout=layout).renumbered(frame_of, film.frames), tuple(said), refusal, lift)
+    read = replace(recorded, keypoints=points, layout=layout).renumbered(frame_of, film.frames)
+    return Verdict(read, tuple(said), refusal, lift)
 
 
 @dataclass(frozen=True)
@@ -322,12 +323,12 @@ class _Judge:
             shown = apply_reading(now.reading.film_from_recorded, seen.keypoints[..., :2])
             share = len(self.moving.person) / max(len(_points(seen.keypoints)), 1)
             return without_motion(camera, shown[..., 1] / self.film.wh[1], seen.keypoints, share)
-        partly: list[str] = []
-        if now.score.enough:
-            shifts = range(now.shift - MAX_MISSING - 1, now.shift + MAX_MISSING + 2)
-            lift = {s: self.under(now.reading, now.numbering, s).score.per_frame for s in shifts}
-            partly = with_missing_frames(camera, shift_change(motion.frame, lift, now.shift), _NUMBER_SIGMAS, _CHANCE)
-        partly = partly or without_match(camera, motion.frame, now.score.per_frame, _CHANCE, _LIFT)
+        shifts = range(now.shift - MAX_MISSING - 1, now.shift + MAX_MISSING + 2)
+        lift = {s: self.under(now.reading, now.numbering, s).score.per_frame for s in shifts}
+        change = shift_change(motion.frame, lift, now.shift) if now.score.enough else None
+        partly = with_missing_frames(camera, change, _NUMBER_SIGMAS, _CHANCE) or without_match(
+            camera, motion.frame, now.score.per_frame, _CHANCE, _LIFT
+        )
         if partly or not (now.score.enough and now.score.lift > _LIFT):
             return partly
         recorded = now.numbering.frame_of - now.shift
@@ -377,14 +378,3 @@ def _points(keypoints: Num[np.ndarray, "D K 3"]) -> Float[np.ndarray, "N 2"]:
     """The keypoints that are present."""
     there = np.isfinite(keypoints).all(-1) & (keypoints[..., 2] > 0) & (keypoints[..., :2] != 0).any(-1)
     return keypoints[there][:, :2]
-
-
-def _in_film_pixels(recorded: RecordedKeypoints, reading: Reading, as_read: Reading) -> RecordedKeypoints:
-    """``recorded`` with converted coordinates: ``as_read`` gives the pixels that ``detections`` gave before."""
-    if reading is as_read:
-        return recorded
-    inverse = np.linalg.inv(np.vstack([as_read.film_from_recorded, [0, 0, 1.0]]))[:2]
-    missing = (recorded.keypoints[..., :2] == 0).all(-1) | ~(recorded.keypoints[..., 2] > 0)
-    points = apply_reading(inverse, apply_reading(reading.film_from_recorded, recorded.keypoints[..., :2]))
-    points = np.where(missing[..., None], recorded.keypoints[..., :2], points)
-    return replace(recorded, keypoints=np.concatenate([points, recorded.keypoints[..., 2:]], axis=-1))
