@@ -59,7 +59,7 @@ def test_feet_head_and_hands_move_with_the_letter_alone(body: BodyModel) -> None
         motion = RefinedMotion(np.zeros((1, 72)), np.zeros((1, 3)), body.rest_joints(np.zeros(10)), body.parents, held)
         motion.step(0, np.ones((25, 3)), 1e-2)
         moved.append(np.linalg.norm(motion.poses.reshape(24, 3), axis=1) > 0)
-    assert np.flatnonzero(~moved[0]).tolist() == list(FIXED_JOINTS)
+    assert np.flatnonzero(~moved[0]).tolist() == [joint for joint in FIXED_JOINTS if joint < 24]
     assert moved[1].all()
 
 

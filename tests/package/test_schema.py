@@ -111,7 +111,7 @@ def test_whole_numbers_may_be_written_with_a_point_and_small_ones_without() -> N
         (
             "survey={force: {defocus: on}}",
             "setting survey.force has defocus, but only effects that a step uses can be forced: moving_cameras, "
-            "people, exposure, ",
+            "people, hands, exposure, ",
         ),
         (
             "render={shots: {a: {kind: orbit, targt: p0}}}",

@@ -15,6 +15,7 @@ from typing import TYPE_CHECKING
 
 import cv2
 import numpy as np
+from scipy import stats
 
 from studiorecon.keypoints.coordinate_readings import apply_reading
 from studiorecon.keypoints.motion import Motion
@@ -75,6 +76,12 @@ def _sigmas(values: np.ndarray) -> float:
     pairs = known[: len(known) // 2 * 2].reshape(-1, 2).mean(-1)
     spread = float(pairs.std(ddof=1)) / np.sqrt(len(pairs))
     return float(known.mean()) / max(spread, 1e-3)
+
+
+def _normal_sigmas(values: np.ndarray) -> float:
+    """The deviation of a normal distribution that is as rare as the mean: that of few frames is Student's."""
+    pairs = int(np.isfinite(values).sum()) // 2
+    return float(stats.norm.isf(stats.t.sf(_sigmas(values), pairs - 1))) if pairs > 1 else 0.0
 
 
 @dataclass(frozen=True)
@@ -164,7 +171,7 @@ def shift_change(
                 cut = int(cuts[np.argmax(total)])
                 if best is None or of_all + total.max() > best[0]:
                     there, rest = (gain[cut:], gain[:cut]) if later else (gain[:cut], gain[cut:])
-                    sigmas = min(_sigmas(there), -_sigmas(rest))
+                    sigmas = min(_normal_sigmas(there), _normal_sigmas(-rest))
                     shifts = (main, main + missing) if later else (main + missing, main)
                     parts = lift[shifts[0]][:cut], lift[shifts[1]][cut:]
                     worse = min(float(part[np.isfinite(part)].sum()) / len(part) for part in parts)
