@@ -112,10 +112,10 @@ def test_of_a_film_that_is_cut_off_the_part_that_is_there_is_used(suffix: str, t
     path.write_bytes(whole[: int(0.6 * len(whole))])
     source = open_source(path, 30.0)
     assert 5 < source.frames < COUNT
-    # What the last frame refers to may be cut off.
+    # What the last frame refers to may be cut off: a decoder then shows the one before, or the one after.
     numbers = shown(source)
     assert numbers[:-1] == list(range(source.frames - 1))
-    assert numbers[-1] in (source.frames - 1, source.frames)
+    assert numbers[-1] in (source.frames - 2, source.frames - 1, source.frames)
     assert len(list(small_grey(source, 48, COUNT))) == source.frames
 
 
