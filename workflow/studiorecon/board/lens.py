@@ -60,7 +60,7 @@ def first_lens(camera: str, seen: Corners, board: Board, wh: tuple[int, int]) ->
         raise UserError(
             f"camera {camera} shows the board ({board.in_words}) in {len(seen.times_s)} pictures, and a lens needs "
             f"{_MIN_VIEWS}; show it larger, sharper, in better light, or correct the board's description: columns and "
-            "rows count squares, not corners"
+            "rows count squares, not corners; without the description cameras come from people"
         )
     chosen = _spread(seen.pixels, wh)
     there = [np.isfinite(view[:, 0]) for view in seen.pixels[chosen]]

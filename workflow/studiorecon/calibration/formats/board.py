@@ -81,8 +81,8 @@ def camera_films(paths: list[Path]) -> dict[str, Path]:
 FORMAT = CalibrationFormat(
     name="board",
     made_by="OpenCV's, Caliscope's and others' printed boards",
-    files_in_words="`board.yaml` or `charuco.toml`, beside films that show the board or in `board/` with some",
-    files=(("board.yaml",), ("board/board.yaml",), ("charuco*.toml",), ("board/charuco*.toml",)),
+    files_in_words="`board.yaml`, or `board/` with `board.yaml` or `charuco.toml`, and films that show the board",
+    files=(("board.yaml",), ("board/board.yaml",), ("board/charuco*.toml",)),
     recognises=recognises,
     read=read,
     holds_cameras=is_board,
