@@ -159,3 +159,27 @@ def test_a_board_in_films_of_its_own_is_preferred_to_the_captures(capture, tmp_p
     dataset = open_dataset(tmp_path)
     assert {path.parent.name for path in dataset.calibration} == {"board"}
     assert len(dataset.calibration) == 1 + len(dataset.footage)
+
+
+@pytest.mark.real
+def test_a_board_before_real_webcams_finds_the_one_that_lags(real_data: Path, tmp_path: Path) -> None:
+    """Its own calibration takes the films as simultaneous; from so small a board the rest is open by degrees."""
+    webcams = real_data / "caliscope_webcams"
+    (tmp_path / "videos").mkdir()
+    for film in sorted((webcams / "calibration_session").glob("*.mp4")):
+        (tmp_path / "videos" / film.name).symlink_to(film)
+    (tmp_path / "capture.yaml").write_text("calibration: charuco.toml")
+    (tmp_path / "charuco.toml").write_bytes((webcams / "charuco.toml").read_bytes())
+    found = read_calibration(open_dataset(tmp_path).calibration)
+    given = {c.name: c.camera_from_world for c in read_calibration((webcams / "camera_array.toml",)).cameras}
+    stated_deg = float(found.notes[0].split("±")[1].split("°")[0])
+    both = {c.name: c.camera_from_world for c in found.cameras}, given
+    off_deg = [
+        np.degrees(angle(*((poses[a] @ np.linalg.inv(poses[b]))[:3, :3] for poses in both)))
+        for a, b in combinations(given, 2)
+    ]
+    late_s = [float(note.split("film ")[1].split(" s")[0]) for note in found.notes[1:]]
+    print(f"off by {min(off_deg):.1f} to {max(off_deg):.1f}°, stated ±{stated_deg:g}°; films late by {late_s} s")
+    assert max(off_deg) < 1.2 * stated_deg
+    assert int(np.argmax(np.abs(late_s))) == 1
+    assert 0.06 < late_s[1] < 0.12

@@ -5,12 +5,13 @@ from __future__ import annotations
 
 import ast
 import sys
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
 from types import FrameType
+from typing import Any
 
 import studiorecon
 from studiorecon import errors, progress
@@ -94,3 +95,13 @@ def follow(place: str, brought: Callable[[], object], advised: Callable[[], obje
         advised()
     assert place not in made, made[place]
     return sentence
+
+
+def follow_row(row: Sequence[Any], folder: Path) -> None:
+    """``follow`` a row of a table: the place, the fault, and all that is advised, each in a folder of its own."""
+    place, brought, *advised = row
+    for number, done in enumerate(advised):
+        before, after = (folder / f"{name}{number}" for name in ("brought", "advised"))
+        before.mkdir()
+        after.mkdir()
+        follow(place, lambda at=before: brought(at), lambda at=after, do=done: do(at))

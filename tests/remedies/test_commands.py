@@ -35,7 +35,7 @@ from studiorecon.window import projects
 from studiorecon.window.serving import LocalServer
 from studiorecon.window.shots import save_shot
 
-from tests.made.remedies import follow
+from tests.made.remedies import follow_row
 from tests.package.test_settings import GOOD, Outer
 
 Call = Callable[[Path], Any]
@@ -292,12 +292,4 @@ ROWS: list[tuple[Any, ...]] = [
 
 @pytest.mark.parametrize("row", range(len(ROWS)), ids=[f"{n} {row[0]}" for n, row in enumerate(ROWS)])
 def test_what_a_command_advises_is_accepted(row: int, tmp_path: Path) -> None:
-    place, brought, *advised = ROWS[row]
-    for number, done in enumerate(advised):
-        for name in ("brought", "advised"):
-            (tmp_path / f"{name}{number}").mkdir()
-        follow(
-            place,
-            lambda n=number: brought(tmp_path / f"brought{n}"),
-            lambda n=number, do=done: do(tmp_path / f"advised{n}"),
-        )
+    follow_row(ROWS[row], tmp_path)

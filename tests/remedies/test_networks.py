@@ -25,7 +25,7 @@ from studiorecon.views.frame import fit_network_frame
 
 from tests.detect import test_detect_one_stage as one_stage
 from tests.detect import test_detect_top_down as top_down
-from tests.made.remedies import follow
+from tests.made.remedies import follow_row
 from tests.models.test_gen3c import HW, key_frames, way
 from tests.models.test_lhm import standing
 from tests.models.test_weights import Hub
@@ -140,9 +140,4 @@ ROWS: list[tuple[Any, ...]] = [
 def test_what_networks_need_is_given_as_advised(row: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(sys.modules, "huggingface_hub", Hub({f.remote: b"fixer" for f in MODELS["fixer"].weights}))
     monkeypatch.setattr(gen3c, "HW", HW)
-    place, brought, *advised = ROWS[row]
-    for number, done in enumerate(advised):
-        before, after = (tmp_path / f"{name}{number}" for name in ("brought", "advised"))
-        before.mkdir()
-        after.mkdir()
-        follow(place, lambda at=before: brought(at), lambda at=after, do=done: do(at))
+    follow_row(ROWS[row], tmp_path)

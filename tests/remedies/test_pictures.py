@@ -25,7 +25,7 @@ from studiorecon.masks.user_masks import mask_pictures
 from tests.defaults import loaded
 from tests.made.cameras import look_at
 from tests.made.footage import smooth_pictures, write_video
-from tests.made.remedies import follow
+from tests.made.remedies import follow_row
 
 Call = Callable[[Path], Any]
 CAMERA = look_at("a", np.array([4.0, 0.0, 1.5]), [0, 0, 1], (64, 48))
@@ -183,9 +183,4 @@ ROWS: list[tuple[Any, ...]] = [
 
 @pytest.mark.parametrize("row", range(len(ROWS)), ids=[f"{n} {row[0]}" for n, row in enumerate(ROWS)])
 def test_pictures_put_right_as_advised_are_read(row: int, tmp_path: Path) -> None:
-    place, brought, *advised = ROWS[row]
-    for number, done in enumerate(advised):
-        before, after = (tmp_path / f"{name}{number}" for name in ("brought", "advised"))
-        before.mkdir()
-        after.mkdir()
-        follow(place, lambda at=before: brought(at), lambda at=after, do=done: do(at))
+    follow_row(ROWS[row], tmp_path)

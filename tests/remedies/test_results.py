@@ -22,7 +22,7 @@ from studiorecon.scene.files import read_json, write_json
 from studiorecon.scene.path import PathStep, write_path
 from studiorecon.sweep.page import run as show_sweep
 
-from tests.made.remedies import follow
+from tests.made.remedies import follow_row
 from tests.made.scene import FPS, FRAMES, ring
 from tests.package.test_results import results
 from tests.report.test_report import scored, write_folders
@@ -131,9 +131,4 @@ ROWS: list[tuple[Any, ...]] = [
 
 @pytest.mark.parametrize("row", range(len(ROWS)), ids=[f"{n} {row[0]}" for n, row in enumerate(ROWS)])
 def test_results_made_again_as_advised_are_compared(row: int, tmp_path: Path) -> None:
-    place, brought, *advised = ROWS[row]
-    for number, done in enumerate(advised):
-        before, after = (tmp_path / f"{name}{number}" for name in ("brought", "advised"))
-        before.mkdir()
-        after.mkdir()
-        follow(place, lambda at=before: brought(at), lambda at=after, do=done: do(at))
+    follow_row(ROWS[row], tmp_path)

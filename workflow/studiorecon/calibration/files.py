@@ -26,8 +26,6 @@ from studiorecon.scene.user_files import file_size, user_file_context
 from studiorecon.signature import Written
 
 LengthUnit = Literal["auto", "m", "cm", "mm"]
-# Formats whose world has no floor even where z is up.
-_WITHOUT_FLOOR = ("COLMAP", "calibration board")
 _OPENGL = np.diag([1.0, -1.0, -1.0, 1.0])
 
 if TYPE_CHECKING:
@@ -129,7 +127,7 @@ def paired_lenses(
     z_up, up_note = z_up_from_world(np.array([p[:3, :3] for p in poses]), settings.up)
     if settings.scale != 1.0:
         notes.append(f"all lengths were multiplied by {settings.scale:g} (calibration.scale)")
-    floor_known = bool(np.array_equal(z_up, np.eye(3))) and reading.format not in _WITHOUT_FLOOR
+    floor_known = bool(np.array_equal(z_up, np.eye(3))) and reading.has_floor
     poses, moves = to_metric_world(poses, z_up, factor * settings.scale, floor_known)
     notes += [n for n in (unit_note, up_note) if n] + moves
     lenses = []

@@ -65,7 +65,7 @@ def read(files: list[Path]) -> Reading:
         )
         for c in found.cameras
     ]
-    return Reading("calibration board", tuple(cameras), "m", tuple(notes))
+    return Reading("calibration board", tuple(cameras), "m", tuple(notes), has_floor=False)
 
 
 _MORE_VIEWS = ": tilt the board more and move it to the picture's corners to know it better"

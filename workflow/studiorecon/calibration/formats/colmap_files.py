@@ -20,7 +20,7 @@ def recognises(files: list[Path]) -> bool:
 def read(files: list[Path]) -> Reading:
     """One static camera per picture folder (or picture); COLMAP's scale is arbitrary unless the model was aligned."""
     notes: list[str] = []
-    return Reading("COLMAP", merged_static(posed_pictures(files), notes), "unknown", tuple(notes))
+    return Reading("COLMAP", merged_static(posed_pictures(files), notes), "unknown", tuple(notes), has_floor=False)
 
 
 FORMAT = CalibrationFormat(

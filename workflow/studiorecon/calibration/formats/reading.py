@@ -28,6 +28,7 @@ class Reading:
         unit: of length, "m", "mm" or "unknown".
         notes: sentences about changes.
         named: False where the format has no names and the cameras are in the order of the sorted videos.
+        has_floor: whether z = 0 is the floor where z is up.
     """
 
     format: str
@@ -35,6 +36,7 @@ class Reading:
     unit: str
     notes: tuple[str, ...]
     named: bool = True
+    has_floor: bool = True
 
     def as_json(self) -> dict[str, Any]:
         return {**vars(self), "cameras": [vars(camera) for camera in self.cameras]}
@@ -42,7 +44,8 @@ class Reading:
     @staticmethod
     def from_json(value: dict[str, Any]) -> Reading:
         cameras = [RawCamera.from_json(camera) for camera in value["cameras"]]
-        return Reading(value["format"], tuple(cameras), value["unit"], tuple(value["notes"]), bool(value["named"]))
+        named, has_floor = bool(value["named"]), bool(value["has_floor"])
+        return Reading(value["format"], tuple(cameras), value["unit"], tuple(value["notes"]), named, has_floor)
 
 
 def _always(path: Path) -> bool:

@@ -9,15 +9,14 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from studiorecon.estimate.factor import Factor
-from studiorecon.estimate.unknowns import CENTRE, LOG_FOCAL, PER_CAMERA, PRINCIPAL, RADIAL, TURN, Unknowns
+from studiorecon.estimate.factors.keypoints import project
+from studiorecon.estimate.unknowns import PER_CAMERA, Unknowns
 
 if TYPE_CHECKING:
     from jaxtyping import Integer, Num
 
 # A few corners are found wrong: on reflections, or interpolated while the board turned back.
 _FREEDOM = 4.0
-# A corner behind its camera counts as this near before it, metres: a step may not divide by 0.
-_NEAR_M = 0.01
 
 
 # Standard deviation of k2 of lenses that nobody measured: webcams have -0.5 to 0.1 beside k1 of up to 0.3.
@@ -47,17 +46,12 @@ class BoardCorners(Factor):
         # Rodrigues' formula, through which complex steps pass; the angle is never exactly 0.
         squared = (axis**2).sum(1, keepdims=True) + 1e-24
         angle = np.sqrt(squared)
-        across = _cross(axis, self.corner_m)
+        across = np.cross(axis, self.corner_m)
         world = self.corner_m + np.sin(angle) / angle * across
-        world = world + (1 - np.cos(angle)) / squared * _cross(axis, across) + place
-        seen = (unknowns.rotations[self.view] @ (world - at[:, CENTRE])[..., None])[..., 0]
-        seen = seen + _cross(at[:, TURN], seen)
-        ideal = seen[:, :2] / np.where(seen[:, 2:].real > _NEAR_M, seen[:, 2:], _NEAR_M)
-        off = (ideal**2).sum(1)
-        bent = np.exp(at[:, LOG_FOCAL]) * (1 + off * (at[:, RADIAL] + off * second[:, 0]))
-        return (ideal * bent[:, None] + at[:, PRINCIPAL] - self.pixels - delay * self.speed_px_s) / self.sigma_px[
-            :, None
-        ]
+        world = world + (1 - np.cos(angle)) / squared * np.cross(axis, across) + place
+        of_point = np.concatenate([at[:, :PER_CAMERA], world], axis=1)
+        found = project(of_point, unknowns.rotations[self.view], 1.0, second[:, 0])
+        return (found - self.pixels - delay * self.speed_px_s) / self.sigma_px[:, None]
 
 
 @dataclass(frozen=True)
@@ -88,11 +82,3 @@ def board_factors(
     found = pixels[at], np.nan_to_num(speed_px_s[at])
     corners = BoardCorners(np.concatenate(columns, axis=1), _FREEDOM, view, corners_m[corner], *found, sigma_px[view])
     return corners, SecondCoefficient(unknowns.columns("second", np.arange(unknowns.views), [0], 1), np.inf)
-
-
-def _cross(a: Num[np.ndarray, "M 3"], b: Num[np.ndarray, "M 3"]) -> Num[np.ndarray, "M 3"]:
-    """Cross products, also of complex numbers."""
-    x = a[:, 1] * b[:, 2] - a[:, 2] * b[:, 1]
-    y = a[:, 2] * b[:, 0] - a[:, 0] * b[:, 2]
-    z = a[:, 0] * b[:, 1] - a[:, 1] * b[:, 0]
-    return np.stack([x, y, z], axis=-1)

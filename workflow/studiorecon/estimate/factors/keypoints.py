@@ -83,9 +83,12 @@ def point_columns(
 
 
 def project(
-    at: Num[np.ndarray, "M 13"], rotations: Num[np.ndarray, "M 3 3"], aspect: Num[np.ndarray, " M"]
+    at: Num[np.ndarray, "M 13"],
+    rotations: Num[np.ndarray, "M 3 3"],
+    aspect: Num[np.ndarray, " M"] | float,
+    second: Num[np.ndarray, " M"] | float = 0.0,
 ) -> Num[np.ndarray, "M 2"]:
-    """Distorted pixels of points; one behind its camera counts as just before it."""
+    """Distorted pixels of points, by k1 and ``second`` = k2; one behind its camera counts as just before it."""
     from_centre = at[:, PER_CAMERA:] - at[:, CENTRE]
     x, y, z = np.moveaxis((rotations @ from_centre[..., None])[..., 0], -1, 0)
     turn = at[:, TURN]
@@ -96,5 +99,6 @@ def project(
     )
     z = np.where(z.real > _NEAR_M, z, _NEAR_M)
     x, y = x / z, y / z
-    bent = np.exp(at[:, LOG_FOCAL]) * (1 + at[:, RADIAL] * (x * x + y * y))
+    off = x * x + y * y
+    bent = np.exp(at[:, LOG_FOCAL]) * (1 + off * (at[:, RADIAL] + off * second))
     return np.stack([x * bent, y * bent * aspect], axis=-1) + at[:, PRINCIPAL]

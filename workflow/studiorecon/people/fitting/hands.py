@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from studiorecon.geometry.rotations import cross_matrix
 from studiorecon.keypoints.hands import HAND_POINTS
 from studiorecon.progress import say
 from studiorecon.rig.body_points import person_tracks
@@ -99,9 +100,8 @@ def _agreement(first: np.ndarray, second: np.ndarray, a: Camera, b: Camera) -> n
     """(2, 2, T) how well each of ``first``'s hands (T, 2, 21, 3) agrees with each of ``second``'s, 0 to 1: by the
     distance of its points from the rays in ``b``; 0 where one is not seen."""
     relative = b.camera_from_world @ np.linalg.inv(a.camera_from_world)
-    x, y, z = relative[:3, 3]
-    cross = np.array([[0, -z, y], [z, 0, -x], [-y, x, 0]])
-    fundamental = np.linalg.inv(b.intrinsics).T @ cross @ relative[:3, :3] @ np.linalg.inv(a.intrinsics)
+    essential = cross_matrix(relative[:3, 3]) @ relative[:3, :3]
+    fundamental = np.linalg.inv(b.intrinsics).T @ essential @ np.linalg.inv(a.intrinsics)
     lines = np.concatenate([first[..., :2], np.ones_like(first[..., :1])], -1) @ fundamental.T
     points = np.concatenate([second[..., :2], np.ones_like(second[..., :1])], -1)
     off = np.abs(np.einsum("tikc,tjkc->ijtk", lines, points))

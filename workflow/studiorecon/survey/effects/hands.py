@@ -22,7 +22,7 @@ def measure(evidence: Evidence, threshold: float) -> Measurement:
         return Measurement(None, None, "no two cameras see an arm")
     reason = f"hands are {usual[0]:.0f} pixels long in the second best view"
     costs = (
-        "a fifth of the time of detecting people" if usual[1][0] > threshold else "nothing: they are not searched for"
+        "a tenth of the time of detecting people" if usual[1][0] > threshold else "nothing: they are not searched for"
     )
     return Measurement(*usual, f"{reason}; fingers cost {costs}")
 
