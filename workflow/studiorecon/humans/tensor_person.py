@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import torch
+from kornia.geometry.liegroup import So3
 
 from studiorecon.body.avatar import tensor_posing as posing
 from studiorecon.body.avatar.weight_grid import WeightGrid
@@ -267,7 +268,7 @@ class _Motion:
     def transforms(self, frame: int, turn: torch.Tensor) -> torch.Tensor:
         """World_from_rest (J, 3, 4) of a frame, whose joints ``turn`` moves."""
         local = self.state["local"][frame]
-        local = local + posing.skew(turn[:-1]) @ local
+        local = local + So3.hat(turn[:-1]) @ local
         return self._tree.world_from_rest(local, self.state["root_m"][frame] + turn[-1]).float()
 
     def step(self, frame: int, gradient: torch.Tensor, smooth: float, rate: float) -> None:
@@ -276,7 +277,7 @@ class _Motion:
         gradient = gradient.nan_to_num(0.0, 0.0, 0.0)
         for other in (frame - 1, frame + 1):
             if 0 <= other < len(local):
-                turn = posing.log(local[frame] @ local[other].mT) / len(self._free[1:])
+                turn = So3.from_matrix(local[frame] @ local[other].mT).log() / len(self._free[1:])
                 gradient = gradient + 2 * smooth * torch.cat([turn, (root_m[frame] - root_m[other])[None]])
         gradient = gradient * self._free
         first, second = self.state["moments"][:, frame]
@@ -287,7 +288,7 @@ class _Motion:
         deviation = (second / (1 - SECOND_DECAY**count)).sqrt() + 1e-12
         change = -rate * first / (1 - FIRST_DECAY**count) / deviation
         # One iteration takes off what rounding adds.
-        local[frame] = posing.polar(posing.exp(change[:-1]) @ local[frame], steps=1)
+        local[frame] = posing.polar(So3.exp(change[:-1]).matrix() @ local[frame], steps=1)
         root_m[frame] += change[-1]
 
 

@@ -9,6 +9,8 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, Any
 
 import torch
+from kornia.geometry.conversions import rotation_matrix_to_quaternion
+from kornia.geometry.quaternion import Quaternion
 
 from studiorecon.body.avatar.encoding import BANDS, encode_time
 from studiorecon.body.avatar.temporal import SKIP, TemporalNetwork
@@ -71,9 +73,9 @@ def pose_gaussians(
         strongest = world_from_rest[weights.argmax(dim=1), :, :3]
         collapsed = ~(_cofactors(linear)[1][:, 0, 0] > _MIN_DETERMINANT)
         turn = polar(torch.where(collapsed[:, None, None], strongest, linear))
-        turned = _quaternion(turn)
+        turned = Quaternion(rotation_matrix_to_quaternion(turn))
     posed_m = (linear @ means_m[..., None])[..., 0] + blend[..., 3]
-    return posed_m, _product(turned, quaternions), _turn_sh(turn, sh)
+    return posed_m, (turned * Quaternion(quaternions)).data, _turn_sh(turn, sh)
 
 
 def polar(matrices: Float[torch.Tensor, "... 3 3"], steps: int = _POLAR_STEPS) -> Float[torch.Tensor, "... 3 3"]:
@@ -89,32 +91,6 @@ def _cofactors(matrices: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
     """Cofactors (..., 3, 3) and determinants (..., 1, 1)."""
     cofactors = torch.linalg.cross(matrices.roll(-1, -2), matrices.roll(-2, -2), dim=-1)
     return cofactors, (matrices[..., :1, :] * cofactors[..., :1, :]).sum(-1, keepdim=True)
-
-
-def exp(turns: Float[torch.Tensor, "... 3"]) -> Float[torch.Tensor, "... 3 3"]:
-    """Rotations of turns of at most a few degrees, by the series to the fifth order: to 1e-9 below 3°."""
-    cross = skew(turns)
-    term = whole = torch.eye(3, dtype=turns.dtype, device=turns.device).expand_as(cross)
-    for order in range(1, 6):
-        term = term @ cross / order
-        whole = whole + term
-    return whole
-
-
-def log(rotations: Float[torch.Tensor, "... 3 3"]) -> Float[torch.Tensor, "... 3"]:
-    """Turns of rotations by less than half a turn."""
-    apart = (rotations - rotations.mT) / 2
-    axis = torch.stack([apart[..., 2, 1], apart[..., 0, 2], apart[..., 1, 0]], -1)
-    sine = axis.norm(dim=-1, keepdim=True)
-    cosine = (rotations.diagonal(dim1=-2, dim2=-1).sum(-1, keepdim=True) - 1) / 2
-    return axis * torch.where(sine > 1e-12, torch.atan2(sine, cosine) / sine.clamp_min(1e-12), 1.0)
-
-
-def skew(vectors: Float[torch.Tensor, "... 3"]) -> Float[torch.Tensor, "... 3 3"]:
-    """Matrices of the cross products with vectors."""
-    x, y, z = vectors.unbind(-1)
-    nothing = torch.zeros_like(x)
-    return torch.stack([nothing, -z, y, z, nothing, -x, -y, x, nothing], -1).unflatten(-1, (3, 3))
 
 
 def residuals(
@@ -141,29 +117,6 @@ def residuals(
         hidden = torch.cat([code, hidden], dim=1) if k == SKIP + 1 else hidden
         hidden = torch.relu(torch.addmm(offset, hidden, matrix))
     return torch.addmm(bias, hidden, last)
-
-
-def _quaternion(rotations: torch.Tensor) -> torch.Tensor:
-    """Unit quaternions (w, x, y, z), by the largest component."""
-    (xx, xy, xz), (yx, yy, yz), (zx, zy, zz) = (row.unbind(-1) for row in rotations.unbind(-2))
-    rows = [
-        [1 + xx + yy + zz, zy - yz, xz - zx, yx - xy],
-        [zy - yz, 1 + xx - yy - zz, yx + xy, xz + zx],
-        [xz - zx, yx + xy, 1 - xx + yy - zz, zy + yz],
-        [yx - xy, xz + zx, zy + yz, 1 - xx - yy + zz],
-    ]
-    candidates = torch.stack([torch.stack(row, -1) for row in rows], -2)
-    best = candidates.diagonal(dim1=-2, dim2=-1).argmax(-1)
-    chosen = candidates.gather(-2, best[..., None, None].expand(*best.shape, 1, 4))[..., 0, :]
-    return torch.nn.functional.normalize(chosen, dim=-1)
-
-
-def _product(one: torch.Tensor, other: torch.Tensor) -> torch.Tensor:
-    """Products of quaternions; they keep the other's length."""
-    w, v = one[..., :1], one[..., 1:]
-    a, u = other[..., :1], other[..., 1:]
-    vector = w * u + a * v + torch.linalg.cross(v, u, dim=-1)
-    return torch.cat([w * a - (v * u).sum(-1, keepdim=True), vector], dim=-1)
 
 
 def _turn_sh(turn: torch.Tensor, sh: torch.Tensor) -> torch.Tensor:
