@@ -52,3 +52,11 @@ def test_a_late_camera_is_found_by_people_whatever_motion_says(monkeypatch: pyte
     found = verdicts(monkeypatch, {3: 1.5}, from_people=8)
     assert found[3].kind == "found"
     assert found[3].offset_s == pytest.approx(1.5)
+
+
+def test_films_that_move_clearly_together_have_a_lag_and_an_interval() -> None:
+    energy = np.random.default_rng(2).exponential(1.0, 6000)
+    line = Timeline(FPS, len(energy), 0.0)
+    moved, still = motion_lags([energy] * 3, [clock_as_filmed(f"cam{c}", line) for c in range(3)], FPS)
+    assert [lag.offset_s for lag in moved] == pytest.approx([0.0, 0.0], abs=1e-9)
+    assert not still

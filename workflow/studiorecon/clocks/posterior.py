@@ -133,7 +133,9 @@ def lag_from_gains(
     peak = np.where(np.abs(lags - lags[best]) <= reach, odds, 0.0)
     lag = float(peak @ lags / peak.sum())
     sigma = float(np.sqrt(peak @ (lags - lag) ** 2 / peak.sum()))
-    return lag, sigma, float(1 - peak.sum() / (odds.sum() + unrelated))
+    # By the sum of all others: one minus the peak's share is 0 for a clear peak, and has no logarithm.
+    others = float(odds[peak == 0].sum() + unrelated)
+    return lag, sigma, max(others / (float(peak.sum()) + others), float(np.finfo(float).tiny))
 
 
 def choose_reference(lags: Sequence[Lag], cameras: int) -> int:
