@@ -40,6 +40,7 @@ ELSEWHERE = {
     "plan/budget.py choose_preset": "plan/test_budget.py test_the_best_score_that_fits_is_chosen_not_the_dearest",
     "plan/user_inputs.py *": "plan/test_files.py "
     "test_a_photo_of_a_stranger_is_made_into_a_person_and_asks_for_its_network",
+    "cli/real_demo.py *": "workflow/test_real_demo.py test_without_the_films_nothing_stays_and_a_sentence_helps",
     "cli/command.py _run_takes ?": "workflow/test_takes.py test_the_command_prints_and_writes_one_table",
     "render/path_file.py path_steps 2": "remedies/test_shots.py test_a_shot_described_as_advised_is_planned",
     "scene/user_files.py not_permitted 2": "remedies/test_folder.py "

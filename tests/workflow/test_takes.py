@@ -205,35 +205,3 @@ def test_the_command_prints_and_writes_one_table(
         assert sentence in capsys.readouterr().err
     (house / "d").mkdir()
     assert command.main(["run", "a", "d"]) == 1, "one failed"
-
-
-@pytest.mark.parametrize("place", ["Pose2Sim/Demo_SinglePerson", "single", ""])
-def test_the_real_take_is_looked_at_where_it_lies(place: str, house: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    take = film_take(house / "got" / place)
-    calls: list[tuple[str, str, list[str]]] = []
-    monkeypatch.setattr(
-        command, "_snakemake", lambda goal, dataset, given: calls.append((goal, dataset, given.rest)) or 0
-    )
-    monkeypatch.setenv("STUDIORECON_REAL_DATA", "got")
-    assert command.main(["demo", "--real"]) == command.main(["demo", "--real", "got"]) == 0
-    assert calls[0] == calls[1] == ("look", str(take.relative_to(house)), ["--config", "scene=real"])
-    beside = take.resolve().parent / "calibration"
-    beside.mkdir()
-    write_cameras("real")
-    rig = takes.write_rig("real")
-    assert rig is not None
-    rig.rename(beside / "Calib_scene.toml")
-    assert command.main(["demo", "--real"]) == 0
-    named = Path(calls[2][2][-1].removeprefix("capture_yaml="))
-    (file,) = yaml.safe_load(named.read_text())["calibration"]
-    assert (take / file).samefile(beside / "Calib_scene.toml")
-
-
-def test_without_the_real_take_one_sentence_says_where_it_is(
-    house: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
-    film_take(house)
-    monkeypatch.delenv("STUDIORECON_REAL_DATA", raising=False)
-    for words in (["demo", "--real"], ["demo", "--real", "nowhere"]):
-        assert command.main(words) == 1
-        assert "studiorecon demo --real pose2sim" in capsys.readouterr().err

@@ -18,6 +18,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from studiorecon.__main__ import main as step_main
+from studiorecon.cli.real_demo import TAKE, fetch_take
 from studiorecon.cli.snakemake_call import environment, preset_names, snakemake_command
 from studiorecon.configuration.overlays import split_option
 from studiorecon.errors import UserError
@@ -104,8 +105,8 @@ def _parser() -> argparse.ArgumentParser:
     for made in (demo, run):
         made.add_argument("--preset", metavar="P", help=f"{', '.join(preset_names())}, or a file of your own")
         made.add_argument("--budget", metavar="MIN", type=float, help="minutes it may take: chooses the preset")
-    real = "a first look at a real take instead: a folder with Pose2Sim's demo (default: STUDIORECON_REAL_DATA)"
-    demo.add_argument("--real", nargs="?", const="", metavar="DIR", help=real)
+    real = f"a first look at a real take instead, in this folder; pip fetches it once (default: {TAKE}/)"
+    demo.add_argument("--real", nargs="?", const=Path(TAKE), type=Path, metavar="DIR", help=real)
     _add_plan_arguments(plan)
     _add_view_arguments(view)
     _add_window_arguments(window)
@@ -153,11 +154,9 @@ def _version() -> str:
 
 def _demo(options: argparse.Namespace) -> int:
     if options.real is not None:
-        from studiorecon.cli.real_demo import find_real_take, settings_of
-
-        take = find_real_take(options.real)
-        options.rest, options.preset = [*options.rest, "--config", *settings_of(take)], options.preset or "look"
-        return _snakemake("look", str(take), options)
+        fetch_take(options.real)
+        options.preset = options.preset or "look"
+        return _snakemake("look", str(options.real), options)
     return _snakemake("", _DEMO, options)
 
 
