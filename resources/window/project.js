@@ -5,9 +5,9 @@ import { at, button, get, list, make, path, post, say, tried } from "./dom.js";
 import { showPeople } from "./people.js";
 import { showPlayer } from "./shots.js";
 
-const GOALS = { film: "Making the film", look: "Making a first look", doctor: "Checking the cameras" };
+const GOALS = { film: "Making the film", look: "Making a first look", doctor: "Checking the cameras", takes: "Running the takes" };
 const EVERY_MS = 1500;
-let asking = 0, tab = "", drawn = "";
+let asking = 0, tab = "", drawn = "", shown = [];
 
 export const showProject = async (name) => {
   const here = at("main").dataset.name === name;
@@ -16,8 +16,10 @@ export const showProject = async (name) => {
   watch(name, about.run);
   // What somebody is correcting or writing stays.
   if (here && (key === drawn || document.querySelector("[data-unsaved]"))) return showRun(about.run);
+  // A new film is shown when it is there, whatever was open before.
   if (!here) tab = "";
-  drawn = key;
+  else if (about.results.films.some((film) => !shown.includes(film))) tab = "Film";
+  [drawn, shown] = [key, about.results.films];
   at("main").dataset.name = name;
   const { cameras, calibration } = about;
   const count = `${cameras.length} camera${cameras.length === 1 ? "" : "s"}`;
@@ -46,12 +48,8 @@ function footage({ cameras, name, unused, notes, error, is_capture }) {
 function action(about) {
   const { name, is_capture, error, cameras, doctor, last, warnings } = about;
   if (!is_capture || (error && !cameras.length)) return [];
-  const choices = make("div", "", { className: "choices" }, make("p", "Estimating the times …", { className: "soft" })), chosen = () => choices.querySelector(":checked")?.value || "";
+  const { choices, chosen } = presetChoices(name, last.preset);
   const start = (goal) => tried(async () => { await post("start", { name, goal, preset: chosen() }); showProject(name); });
-  get(`presets/${path(name)}`).then((offers) => choices.replaceChildren(...offers.map(({ preset, name: called, about: text, seconds, low_s, high_s }) =>
-    make("label", "", {}, make("input", "", { type: "radio", name: "preset", value: preset, checked: preset === last.preset }),
-      make("b", called), make("span", `${time(low_s)} to ${time(high_s)}, likely ${time(seconds)}`), make("span", text)))))
-    .catch((failed) => choices.replaceChildren(make("p", failed.message, { className: "soft" })));
   const begun = last.unfinished && !about.run && !/ snakemake doctor /.test(last.command);
   return [make("div", "", { className: "card", id: "action" }, make("h2", "Make the film"), choices,
     make("div", "", { className: "row" },
@@ -64,7 +62,17 @@ function action(about) {
   ].filter(Boolean);
 }
 
-export const time = (s) => (s < 90 ? `${Math.round(s)} s` : s < 5400 ? `${Math.round(s / 60)} min` : `${(s / 3600).toFixed(1)} h`);
+// The presets with their times for a project, and which of them is chosen.
+export function presetChoices(name, first) {
+  const choices = make("div", "", { className: "choices" }, make("p", "Estimating the times …", { className: "soft" }));
+  get(`presets/${path(name)}`).then((offers) => choices.replaceChildren(...offers.map(({ preset, name: called, about: text, seconds, low_s, high_s }) =>
+    make("label", "", {}, make("input", "", { type: "radio", name: "preset", value: preset, checked: preset === first }),
+      make("b", called), make("span", `${time(low_s)} to ${time(high_s)}, likely ${time(seconds)}`), make("span", text)))))
+    .catch((failed) => choices.replaceChildren(make("p", failed.message, { className: "soft" })));
+  return { choices, chosen: () => choices.querySelector(":checked")?.value || "" };
+}
+
+const time = (s) => (s < 90 ? `${Math.round(s)} s` : s < 5400 ? `${Math.round(s / 60)} min` : `${(s / 3600).toFixed(1)} h`);
 
 function more({ name, is_capture, capture_yaml, settings, last }) {
   if (!is_capture) return [];
@@ -79,8 +87,8 @@ function more({ name, is_capture, capture_yaml, settings, last }) {
 
 function results({ name, results: made }) {
   const views = {};
-  if (made.films.length) views.Film = (place) => place.append(...made.films.map((film) =>
-    make("figure", "", {}, make("video", "", { src: film, controls: true, loop: true, muted: true, autoplay: true, playsInline: true }),
+  if (made.films.length) views.Film = (place) => place.append(...made.films.map((film, k) =>
+    make("figure", "", {}, make("video", "", { src: film, controls: true, loop: true, muted: true, autoplay: !k, playsInline: true }),
       make("figcaption", film))));
   if (made.player) views.Fly = (place) => showPlayer(place, name, made.player);
   if (made.review) views.People = (place) => showPeople(place, name);
@@ -101,26 +109,26 @@ function results({ name, results: made }) {
   return [tabs, place];
 }
 
-function showRun(run, snapshot = 0) {
-  const place = at("progress"), mine = run && run.scene === at("main").dataset.name;
+export function showRun(run, snapshot = 0) {
+  const place = at("progress"), page = at("main").dataset.name, mine = run && (run.scene === page || (run.goal === "takes" && page === "/takes"));
   if (!place) return;
-  for (const id of ["make", "check"]) if (at(id)) at(id).disabled = Boolean(run) && !(id === "make" && run.ours && run.goal === "doctor");
+  for (const id of ["make", "check"]) if (at(id)) at(id).disabled = Boolean(at(id).dataset.short) || Boolean(run) && !(id === "make" && run.ours && run.goal === "doctor");
   if (!run) return place.replaceChildren();
-  if (!mine) return place.replaceChildren(make("p", `A run of ${run.scene} is on. One run at a time: wait for its end.`, { className: "card" }));
+  if (!mine) return place.replaceChildren(make("p", `A run of ${run.scene || "takes"} is on. One run at a time: wait for its end.`, { className: "card" }));
   const share = run.total ? run.done / run.total : 0, bar = make("div", "", { className: "bar", role: "progressbar" }, make("i"));
   bar.firstChild.style.width = `${Math.max(2, 100 * share)}%`;
   bar.setAttribute("aria-valuenow", Math.round(100 * share));
-  const stop = tried(async () => { say("Stopping …", 0); await post("stop"); say("Stopped. What is finished is kept."); showProject(run.scene); });
+  const stop = tried(async () => { say("Stopping …", 0); await post("stop"); say("Stopped. What is finished is kept."); dispatchEvent(new HashChangeEvent("hashchange")); });
   const picture = snapshot && make("figure", "", { style: "max-width:520px;margin-top:12px" },
     make("img", "", { src: `api/snapshot/${path(run.scene)}?${snapshot}`, alt: "The room as it is now" }), make("figcaption", "The room as it trains"));
-  place.replaceChildren(make("div", "", { className: "card" }, make("h2", GOALS[run.goal] || "A run is on"),
+  place.replaceChildren(make("div", "", { className: "card" }, make("h2", `${GOALS[run.goal] || "A run is on"}${run.goal === "takes" && run.scene ? `: ${run.scene}` : ""}`),
     make("p", run.total ? `${run.done} of ${run.total} jobs, ${run.left}` : "Starting …"), bar,
     run.running?.length && make("p", run.running.join("; "), { className: "soft" }), picture,
     run.ours ? button("Stop", stop) : make("p", "It was started in a terminal, and stops there with Ctrl-C.", { className: "soft" })));
 }
 
 // Asks for the run's state while one is on and the page is seen.
-function watch(name, run) {
+export function watch(name, run) {
   clearTimeout(asking);
   if (!run || document.hidden) return;
   const known = JSON.stringify([run.scene, run.goal, run.pid]);

@@ -4,6 +4,7 @@
 
 import { at, button, get, make, path, post, say, tried, upload } from "./dom.js";
 import { showProject } from "./project.js";
+import { TAKES, showTakes } from "./takes.js";
 
 export const current = () => decodeURIComponent(location.hash.slice(1));
 
@@ -15,13 +16,15 @@ async function showSide() {
     if (name === current()) link.setAttribute("aria-current", "page");
     return link;
   }));
+  at("takes").hidden = projects.filter((one) => one.is_capture).length < 2;
   return projects;
 }
 
 export const open = tried(async () => {
   const projects = await showSide(), name = current();
   document.title = name ? `${name} · studiorecon` : "studiorecon";
-  if (name && projects.some((one) => one.name === name)) await showProject(name);
+  if (name === TAKES && !at("takes").hidden) await showTakes(projects);
+  else if (name && projects.some((one) => one.name === name)) await showProject(name);
   else showStart(projects.length);
 });
 
@@ -29,6 +32,12 @@ function showStart(others) {
   delete at("main").dataset.name;
   const folder = make("input", "", { type: "text", placeholder: "/home/me/takes/monday" });
   folder.setAttribute("aria-label", "Folder on this machine");
+  const real = tried(async () => {
+    say("Fetching four films, 51 MB …", 0);
+    const name = await post("real");
+    say("");
+    location.hash = encodeURIComponent(name);
+  });
   const link = tried(async () => { location.hash = encodeURIComponent(await post("link", { folder: folder.value.trim() })); });
   at("main").replaceChildren(
     make("h1", others ? "New project" : "From a few videos to a scene you can fly through"),
@@ -41,7 +50,10 @@ function showStart(others) {
     make("div", "", { className: "card" },
       make("p", "Or use a folder of this machine where it is. Nothing is copied."),
       make("form", "", { className: "row", onsubmit: (event) => { event.preventDefault(); link(); } },
-        folder, make("button", "Use this folder"))));
+        folder, make("button", "Use this folder"))),
+    make("div", "", { className: "card" },
+      make("p", "Or try a real take: one man on a treadmill, four cameras, from the package Pose2Sim (BSD 3-Clause, 51 MB)."),
+      make("div", "", { className: "row" }, button("Fetch it", real, { id: "real" }))));
 }
 
 // [{ file, path }] of what was dropped, folders included.
@@ -66,20 +78,20 @@ export const take = tried(async (files) => {
   if (!files.length) return say("There is no file in what was dropped.");
   const first = files[0].path.split("/"), whole = files.every((one) => one.path.startsWith(`${first[0]}/`));
   let name = current();
-  if (!name) {
+  if (!name || name === TAKES) {
+    name = "";
     const { projects } = await get("projects"), day = new Date().toISOString().slice(0, 10);
     const wanted = whole ? first[0].replace(/[^\p{L}\p{N} ._+@()-]/gu, "_").trim() : `take-${day}`;
     for (let k = 1; !name || projects.some((one) => one.name === name); k++) name = k > 1 ? `${wanted}-${k}` : wanted;
     await post("new", { name });
   }
-  const failed = [];
+  const failed = [], fresh = current() !== name;
   for (const [k, one] of files.entries()) {
     const shown = (percent) => say(`Copying ${k + 1} of ${files.length}: ${one.path}, ${percent} %`, 0);
-    const place = whole && !current() ? one.path.split("/").slice(1).join("/") : one.path;
+    const place = fresh && whole ? one.path.split("/").slice(1).join("/") : one.path;
     try { await upload(`upload/${path(name)}?path=${encodeURIComponent(place)}`, one.file, shown); } catch (error) { failed.push(error.message); }
   }
   say(failed.length ? failed.slice(0, 3).join(". ") : `${files.length} files copied`, failed.length ? 20 : 4);
-  const fresh = current() !== name;
   location.hash = encodeURIComponent(name);
   if (fresh && !failed.length) await post("start", { name, goal: "doctor" }).catch(() => {});
   await open();
@@ -90,6 +102,7 @@ for (const [id, of] of [["files", "name"], ["whole", "webkitRelativePath"]])
     take([...at(id).files].map((file) => ({ file, path: file[of] })));
     at(id).value = "";
   };
+at("takes").onclick = () => (location.hash = TAKES);
 at("new").onclick = () => (location.hash = "");
 let inside = 0;
 addEventListener("dragenter", () => (at("dropping").hidden = !++inside));

@@ -111,6 +111,15 @@ def test_cameras_are_estimated_once_and_the_others_read_them(house: Path) -> Non
     assert described["frames"] == {"first": 1}, "what the take's own capture.yaml says still holds"
     assert (short / described["calibration"]).samefile("results/long/rig.toml")
     assert [rows[name]["result"] for name in ("short", "long", "broken")] == ["done", "done", "failed"]
+    assert [row["result"] for row in read_table(takes.TABLE, takes.COLUMNS)] == ["done", "done", "failed"]
+    # Afterwards a take is run alone: with the same cameras, and what its own capture.yaml says by then.
+    (short / "capture.yaml").write_text("frames: {first: 2}\n")
+    settings, note = takes.rig_again(short)
+    assert [word.partition("=")[0] for word in settings] == ["capture_yaml", "calibration"]
+    assert settings[1] == workflow.calls[1][1][1]
+    assert yaml.safe_load(Path(own.removeprefix("capture_yaml=")).read_text())["frames"] == {"first": 2}
+    assert "those of long" in note
+    assert takes.rig_again(long) == ([], "")
     assert "videos" in rows["broken"]["notes"]
     assert rows["long"]["frames"] == "4"
 

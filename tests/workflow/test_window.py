@@ -169,13 +169,13 @@ def stand_in(home: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     """Instead of Snakemake a process that waits for the file ``go``, ends at once on an interrupt, and says so."""
     script = home / "snakemake.py"
     script.write_text(
-        "import pathlib, signal, sys, time\n"
+        "import os, pathlib, signal, sys, time\n"
         "signal.signal(signal.SIGINT, lambda *_: (pathlib.Path('interrupted').touch(), sys.exit(1)))\n"
-        "pathlib.Path('began').touch()\n"
+        "pathlib.Path('began').write_text(str(os.getpid()))\n"
         "while not pathlib.Path('go').exists(): time.sleep(0.02)\n"
         "print('1 of 1 steps (100%) done')\n"
     )
-    monkeypatch.setattr(runs, "snakemake_command", lambda *_: [sys.executable, str(script), "config/presets/look.yaml"])
+    monkeypatch.setattr(app, "snakemake_command", lambda *_: [sys.executable, str(script), "config/presets/look.yaml"])
     for number, camera in enumerate("ab"):
         small_film(home / "take/videos" / f"{camera}.mp4", number)
     return script
@@ -242,6 +242,34 @@ def test_a_check_makes_room_for_the_film(home: Path, stand_in: Path, window: Loc
     assert request(window, "api/run")[1]["run"]["goal"] == "film"
     (home / "go").touch()
     wait(lambda: runs.current_run() is None)
+
+
+def test_takes_run_one_after_another_and_stop(home: Path, stand_in: Path, window: LocalServer) -> None:
+    runs.start_run("takes", "", [sys.executable, "-c", f"import subprocess; subprocess.call(['python', '{stand_in}'])"])
+    assert runs.current_run() is not None
+    wait(lambda: (home / "began").exists() and (home / "began").read_text())
+    child = int((home / "began").read_text())
+    write_json(PROGRESS, {"scene": "take", "on": True, "pid": child, "done": 3, "total": 9, "failed": []})
+    run = request(window, "api/takes")[1]["run"]
+    assert (run["goal"], run["scene"], run["ours"], run["done"]) == ("takes", "take", True, 3)
+    assert request(window, "api/stop", {})[0] == 200
+    assert (home / "interrupted").exists()
+    assert runs.current_run() is None
+
+
+def test_the_table_of_takes_has_every_chosen_one(window: LocalServer, home: Path) -> None:
+    for name in ("one", "-two", "three"):
+        (home / name / "videos").mkdir(parents=True)
+    assert request(window, "api/takes")[1] == {"run": None, "rows": []}
+    assert request(window, "api/takes", {"names": ["one", "nowhere"], "preset": ""})[0] == 400
+    assert request(window, "api/takes", {"names": ["one", "-two"], "preset": "look"})[0] == 200
+    until = time.monotonic() + 60
+    while runs.current_run():
+        assert time.monotonic() < until
+        time.sleep(0.1)
+    rows = request(window, "api/takes")[1]["rows"]
+    assert {(row["take"], row["result"]) for row in rows} == {("one", "failed"), ("-two", "failed")}
+    assert all("put one video" in row["notes"] for row in rows)
 
 
 def test_a_run_of_a_terminal_is_shown_and_not_stopped(home: Path, stand_in: Path, window: LocalServer) -> None:

@@ -201,7 +201,7 @@ def _run_takes(options: argparse.Namespace) -> int:
     for note in notes:
         print(note, flush=True)
     rows = takes.run_takes(found, rig_of[0] if rig_of else None, run)
-    print(takes.write_rows(rows))
+    print(takes.table_text(rows))
     return int(any(row["result"] != "done" for row in rows))
 
 

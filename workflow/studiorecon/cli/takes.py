@@ -112,6 +112,8 @@ def run_takes(takes: Sequence[Take], rig_of: Take | None, run: Runner) -> list[d
     for number, take in enumerate(waiting, 1):
         print(f"take {take.scene} ({number} of {len(waiting)})", flush=True)
         begun = time.time()
+        rows[take.scene] = {"take": take.scene, "result": "running"}
+        write_rows(list(rows.values()))
         try:
             rows[take.scene] = row = _run_take(take, reference, rig, begun, run)
             if rig is None and row["result"] != "stopped" and (rig := write_rig(take.scene)):
@@ -127,6 +129,7 @@ def run_takes(takes: Sequence[Take], rig_of: Take | None, run: Runner) -> list[d
             break
         if rig is None and take.dataset is not None and not take.calibration:
             again.append(take)
+    write_rows(list(rows.values()))
     return list(rows.values())
 
 
@@ -178,6 +181,16 @@ def rig_settings(take: Take, rig: Path) -> tuple[list[str], str]:
     return [f"capture_yaml={own}", f"calibration={{{reading}, radial: {{{added}}}}}"], note
 
 
+def rig_again(folder: Path) -> tuple[list[str], str]:
+    """Settings with which a take of an earlier batch reads the rig's cameras again, and a note; [] and "" otherwise."""
+    own = RESULTS / folder.resolve().name / "rig.yaml"
+    if not own.is_file():
+        return [], ""
+    rig = folder.resolve() / yaml.safe_load(own.read_text(encoding="utf-8"))["calibration"]
+    settings, _ = rig_settings(Take(folder, open_dataset(folder)), rig)
+    return settings, f"its cameras are those of {rig.parent.name}; remove {own} to find its own"
+
+
 def _kept(path: Path, text: str) -> Path:
     """The file with that text, untouched if it has it: Snakemake compares dates."""
     if not (path.is_file() and path.read_text(encoding="utf-8") == text):
@@ -210,10 +223,14 @@ def _last_failure(logs: Path, begun: float) -> str:
     return next((line for line in reversed(lines) if _FAILURE.match(line)), "")
 
 
-def write_rows(rows: Sequence[dict[str, str]]) -> str:
-    """The rows as a table to print; also written to ``results/takes.tsv``."""
+def write_rows(rows: Sequence[dict[str, str]]) -> None:
+    """Write ``results/takes.tsv``."""
+    write_table(TABLE, COLUMNS, [[row.get(column, "") for column in COLUMNS] for row in rows])
+
+
+def table_text(rows: Sequence[dict[str, str]]) -> str:
+    """The rows as a table to print."""
     cells = [list(COLUMNS), *([row.get(column, "") for column in COLUMNS] for row in rows)]
-    write_table(TABLE, COLUMNS, cells[1:])
     widths = [max(map(len, column)) for column in zip(*cells, strict=True)]
     lines = ["  ".join(cell.ljust(width) for cell, width in zip(line, widths, strict=True)) for line in cells]
     return "\n".join(line.rstrip() for line in lines)

@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 import os
+import sys
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -14,11 +15,14 @@ from starlette.requests import ClientDisconnect, Request
 from starlette.responses import JSONResponse, Response
 from starlette.routing import Route
 
+from studiorecon.cli.real_demo import TAKE, fetch_take
+from studiorecon.cli.snakemake_call import snakemake_command
 from studiorecon.errors import UserError
 from studiorecon.home import RESOURCES
 from studiorecon.machine.crash_report import fault_sentence, keep_trace
 from studiorecon.machine.resource_errors import describe_resource_error
 from studiorecon.progress import LATEST
+from studiorecon.scene.files import read_table
 from studiorecon.window import projects, runs, shots
 from studiorecon.window.serving import file_response
 
@@ -47,6 +51,9 @@ def build_app() -> Starlette:
             Route("/api/link", _changes(lambda given: projects.link_folder(given["folder"])), methods=["POST"]),
             Route("/api/upload/{name}", _upload, methods=["POST"]),
             Route("/api/start", _changes(_start), methods=["POST"]),
+            Route("/api/takes", _answers(_takes)),
+            Route("/api/takes", _changes(_start_takes), methods=["POST"]),
+            Route("/api/real", _changes(_fetch_real), methods=["POST"]),
             Route("/api/stop", _changes(lambda _: runs.stop_run()), methods=["POST"]),
             Route(
                 "/api/capture",
@@ -108,16 +115,37 @@ def _snapshot(request: Request) -> Response:
     return file_response(Path("logs"), f"{name}/background/train/{LATEST}", request.scope)
 
 
-def _call(given: dict[str, Any]) -> tuple[str, str, str, list[str]]:
-    """Scene, dataset, preset (of the last run, where none is chosen) and settings files of a project's run."""
+def _command(given: dict[str, Any], goal: str = "") -> list[str]:
+    """The call of a project's run, with its settings files, and the preset of its last run where none is chosen."""
+    from studiorecon.cli.takes import rig_again  # loads numerical libraries, for which the window does not wait
+
     name = given["name"]
     folder, own = projects.find_project(name), (projects.settings_file(name), shots.shots_file(name))
     preset = given["preset"] if "preset" in given else runs.last_run(name)["preset"]
-    return name, str(folder), preset, [str(file) for file in own if file.is_file()]
+    overlays = [str(file) for file in own if file.is_file()]
+    rest = [*(["--configfile", *overlays] if overlays else []), "--config", f"scene={name}", *rig_again(folder)[0]]
+    return snakemake_command("" if goal == "film" else goal, str(folder), "all", preset or None, rest)
 
 
 def _start(given: dict[str, Any]) -> None:
-    runs.start_run(given["goal"], *_call(given))
+    runs.start_run(given["goal"], given["name"], _command(given, given["goal"]))
+
+
+def _takes(_: Request) -> dict[str, Any]:
+    from studiorecon.cli.takes import COLUMNS, TABLE
+
+    return {"run": runs.current_run(), "rows": read_table(TABLE, COLUMNS) if TABLE.is_file() else []}
+
+
+def _start_takes(given: dict[str, Any]) -> None:
+    folders = [f"./{projects.find_project(name)}" for name in given["names"]]
+    preset = ["--preset", given["preset"]] if given["preset"] else []
+    runs.start_run("takes", "", [sys.executable, "-m", "studiorecon.cli.command", "run", *folders, *preset])
+
+
+def _fetch_real(_: dict[str, Any]) -> str:
+    fetch_take(Path(TAKE))
+    return TAKE
 
 
 def _tracks(request: Request) -> dict[str, Any]:
@@ -137,7 +165,7 @@ def _correct(given: dict[str, Any]) -> dict[str, Any]:
     from studiorecon.window import people
 
     file = people.save_identities(given["name"], given["rows"])
-    return {"file": file, "planned": runs.planned_jobs(*_call(given))}
+    return {"file": file, "planned": runs.planned_jobs(_command(given))}
 
 
 async def _upload(request: Request) -> Response:

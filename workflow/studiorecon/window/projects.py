@@ -57,10 +57,13 @@ def enter(folder: Path) -> str:
 
 
 def list_projects() -> list[dict[str, Any]]:
-    """``name`` and ``made`` (a film is there) of every project: captures in this folder, and scenes in results/."""
+    """``name``, ``is_capture`` and ``made`` (a film is there) of every project: captures, and scenes in results/."""
     names = {p.name for p in Path().iterdir() if p.is_dir() and _is_project(p)}
     scenes = {p.parents[1].name for p in Path("results").glob("*/capture/manifest.json")}
-    return [{"name": name, "made": bool(_films(name))} for name in sorted(names | scenes, key=str.casefold)]
+    return [
+        {"name": name, "is_capture": name in names, "made": bool(_films(name))}
+        for name in sorted(names | scenes, key=str.casefold)
+    ]
 
 
 def _is_project(folder: Path) -> bool:
@@ -126,10 +129,13 @@ def describe(name: str) -> dict[str, Any]:
     about: dict[str, Any] = {"name": name, "is_capture": folder.is_dir(), "cameras": [], "unused": [], "notes": []}
     about |= {"error": "", "calibration": "", "capture_yaml": "", "folder": str(folder.resolve())}
     if folder.is_dir():
+        from studiorecon.cli.takes import rig_again  # loads numerical libraries, for which the window does not wait
+
         try:
             description = description_path(folder)
             about["capture_yaml"] = description.read_text("utf-8") if description.is_file() else ""
             about |= _understood(str(folder), _stamp(folder))
+            about["notes"] = [*about["notes"], *filter(None, rig_again(folder)[1:])]
         except (UserError, OSError) as error:
             about["error"] = (
                 str(error) if isinstance(error, UserError) else describe_resource_error(error) or str(error)
@@ -171,7 +177,8 @@ def _understood(folder: str, _: Any) -> dict[str, Any]:
 
 
 def _films(name: str) -> list[Path]:
-    films = sorted((Path("results") / name / "enhance").glob("*.mp4"))
+    """The films of a scene, the newest first."""
+    films = sorted((Path("results") / name / "enhance").glob("*.mp4"), key=lambda film: (-film.stat().st_mtime, film))
     films = [film for film in films if "." not in film.stem]
     return [film for film in films if film.stem != "heldout"] or films
 

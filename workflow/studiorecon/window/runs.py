@@ -20,7 +20,7 @@ from typing import Any
 import psutil
 
 from studiorecon.cli.run_progress import PROGRESS
-from studiorecon.cli.snakemake_call import environment, snakemake_command
+from studiorecon.cli.snakemake_call import environment
 from studiorecon.errors import UserError
 from studiorecon.progress import WARNING
 from studiorecon.scene.files import write_json
@@ -45,8 +45,8 @@ def current_run() -> dict[str, Any] | None:
     Progress: ``done`` and ``total`` jobs, ``left`` (words), ``running``, ``stages`` (name, done, total), ``failed``.
     """
     ours, progress = _alive(_read(_OURS)), _read(PROGRESS)
-    counts = progress.get("on") and _snakemake_of(progress.get("pid", 0)) is not None
-    if counts and (not ours or progress["pid"] == ours["pid"]):
+    session = _session_of(progress.get("pid", 0)) if progress.get("on") else 0
+    if session and (not ours or session == ours["pid"]):
         return {"goal": "film", **ours, **progress, "ours": bool(ours)}
     return {**ours, "ours": True, "left": "starting"} if ours else None
 
@@ -84,8 +84,8 @@ def _reasons(lines: Sequence[str]) -> list[str]:
     return list(dict.fromkeys(found))[-20:]
 
 
-def start_run(goal: str, scene: str, dataset: str, preset: str, overlays: Sequence[str]) -> None:
-    """Start ``goal`` (film, look, doctor) in a session of its own, so that it outlives the window.
+def start_run(goal: str, scene: str, command: Sequence[str]) -> None:
+    """Start the command for ``goal`` (film, doctor, takes) in a session of its own, so that it outlives the window.
 
     A check by the doctor makes room for a film. Raises UserError while another run is on.
     """
@@ -95,9 +95,7 @@ def start_run(goal: str, scene: str, dataset: str, preset: str, overlays: Sequen
             stop_run()
             run = current_run()
         if run:
-            raise UserError(f"a run of {run['scene']} is on in this folder; wait for its end, or stop it")
-        rest = [*(["--configfile", *overlays] if overlays else []), "--config", f"scene={scene}"]
-        command = snakemake_command("" if goal == "film" else goal, dataset, "all", preset or None, rest)
+            raise UserError(f"a run of {run['scene'] or 'takes'} is on in this folder; wait for its end, or stop it")
         log = log_file(scene)
         log.parent.mkdir(parents=True, exist_ok=True)
         with log.open("w", encoding="utf-8") as written:
@@ -122,17 +120,16 @@ def stop_run() -> None:
         return
     if not run["ours"]:
         raise UserError(f"the run of {run['scene']} was started in a terminal; press Ctrl-C there")
-    os.killpg(run["pid"], signal.SIGINT)
+    os.killpg(_read(_OURS)["pid"], signal.SIGINT)
     until_s = time.monotonic() + _MAX_ENDING_S
     while _alive(_read(_OURS)) and time.monotonic() < until_s:
         time.sleep(0.1)
 
 
-def planned_jobs(scene: str, dataset: str, preset: str, overlays: Sequence[str]) -> dict[str, int]:
+def planned_jobs(command: Sequence[str]) -> dict[str, int]:
     """Rule → number of jobs that a run would start now; raises UserError with Snakemake's sentence where it cannot."""
-    rest = ["--dry-run", "--nolock", *(["--configfile", *overlays] if overlays else []), "--config", f"scene={scene}"]
-    command = snakemake_command("", dataset, "all", preset or None, rest)
-    done = subprocess.run(command, env=environment(), capture_output=True, text=True, errors="replace", check=False)
+    dry = [*command[:3], "--dry-run", "--nolock", *command[3:]]
+    done = subprocess.run(dry, env=environment(), capture_output=True, text=True, errors="replace", check=False)
     if done.returncode:
         raise UserError(
             (done.stderr or done.stdout).strip().splitlines()[-1] if done.stderr or done.stdout else "failed"
@@ -161,11 +158,11 @@ def _alive(run: dict[str, Any]) -> dict[str, Any]:
         return {}
 
 
-def _snakemake_of(pid: int) -> psutil.Process | None:
-    """The process of a run in this folder, by its number."""
+def _session_of(pid: int) -> int:
+    """The session of a run in this folder, by the number of Snakemake's process; 0 where it is none, or has ended."""
     try:
         process = psutil.Process(pid)
         here = any("snakemake" in word for word in process.cmdline()) and Path(process.cwd()) == Path.cwd()
-        return process if here and process.status() != psutil.STATUS_ZOMBIE else None
+        return os.getsid(pid) if here and process.status() != psutil.STATUS_ZOMBIE else 0
     except (psutil.Error, OSError):
-        return None
+        return 0
