@@ -15,26 +15,14 @@ import pytest
 import yaml
 from studiorecon.plan.memory import memory
 
+from benchmarks.memory import submitted
+
 ROOT = Path(__file__).resolve().parents[2]
 PROFILES = ("slurm", "kubernetes")
 
 
 def profile(name: str) -> dict:
     return yaml.safe_load((ROOT / "profiles" / name / "config.yaml").read_text())
-
-
-def submitted() -> dict[str, str]:
-    """Text of every rule that a cluster gets as a job, by name."""
-    found = {}
-    for path in sorted((ROOT / "workflow/rules").glob("*.smk")):
-        for block in re.split(r"\n(?= *(?:(?:use )?rule|checkpoint) )", path.read_text()):
-            again = re.match(r" *use rule (\w+) as (\w+) with:", block)
-            if again:
-                found[again.group(2)] = found[again.group(1)]
-            named = re.match(r" *(?:rule|checkpoint) (\w+):", block)
-            if named and "shell:" in block and "localrule: True" not in block:
-                found[named.group(1)] = block
-    return found
 
 
 @pytest.mark.parametrize("name", PROFILES)

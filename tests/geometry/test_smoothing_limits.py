@@ -178,6 +178,21 @@ def test_what_is_smoothed_follows_the_settings() -> None:
         Smoothing(HALF_S, 1 / 30, "rotations").smooth_body(local, trans[:29], 30.0)
 
 
+def test_the_papers_constants_steady_the_pelvis_as_its_table_has_it() -> None:
+    """The table's mean acceleration of joints falls from 2.74 to 1.29 mm/frame² with smoothing: the root is in it."""
+    paper = Smoothing(0.0481, 0.0333, "axis_angles")
+    rng, turns = np.random.default_rng(0), np.tile(np.eye(3), (60, 24, 1, 1))
+    trans = np.cumsum(np.full((60, 3), 0.01), axis=0) + rng.normal(0, 0.0007, (60, 3))
+    before, after = (
+        1000 * np.linalg.norm(np.diff(one, 2, axis=0), axis=1).mean()
+        for one in (trans, paper.smooth_body(turns, trans, 30.0)[1])
+    )
+    assert before == pytest.approx(2.74, abs=0.3)
+    assert after < 1.29
+    none = Smoothing(0.0, 0.0, "axis_angles")
+    np.testing.assert_array_equal(none.smooth_body(turns, trans, 30.0)[1], trans)
+
+
 @pytest.mark.parametrize("fps", [15.0, 60.0, 120.0])
 def test_smoothing_keeps_its_length_in_seconds(fps: float) -> None:
     reference = Smoothing(1 / (30 * np.log(2)), 1 / 30, "rotations")

@@ -282,6 +282,18 @@ def test_whom_two_of_four_cameras_see_is_a_person_and_an_animal_is_left_out(
     assert people == ["p0", "p1", "p2", "p3"]
 
 
+def test_the_papers_star_keeps_everybody_of_its_reference_view(tmp_path, people_settings, two_people):
+    """No evidence is weighed after it: whom two of four cameras see, and whose build is nobody's, are people."""
+    cameras, small = ring(), walk([0.2, 1.2, 0], [0, 0, 0], FRAMES)
+    for joints in ((0, 1), (6, 7)):
+        small[:, joints] = small[:, joints].mean(1, keepdims=True)
+    planted = [*two_people, walk([-1.0, 0.3, 0], [0, 0, 0], FRAMES), small]
+    found = detect(cameras, planted, 2.0, np.random.default_rng(0), missing={(2, 2), (3, 2)})
+    for method, count in (("tracks", 3), ("star", 4)):
+        options = people_settings(associate.Settings, association={"method": method})
+        assert len(run_association(tmp_path, cameras, found, options)[0]) == count, method
+
+
 def test_corrected_identities_replace_what_association_would_say(tmp_path, people_settings, two_people):
     cameras, options = ring(), people_settings(associate.Settings)
     found = detect(cameras, two_people, 1.0, np.random.default_rng(0))

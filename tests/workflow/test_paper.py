@@ -66,6 +66,23 @@ def test_jobs_ask_for_the_memory_that_the_preset_needs(jobs: dict[str, str]) -> 
     assert requested["background_half"] == ROOM_MB + round(724 * 1280 * 720 * 16 / 1e6)
 
 
+def test_no_setting_of_people_changes_the_views(house: House, videos: Path) -> None:
+    """With depth of the first moment views need nobody: they start beside people, and stay when people are changed."""
+    needed = f"results/{videos.name}/views/00.mkv"
+    changed = {"people": {"smooth": {"sigma_s": 0.1}, "fit": {"beta_weight": 1.0}, "association": {"method": "tracks"}}}
+    plans = [
+        House(house.folder, str(videos)).snakemake(
+            needed, "--dry-run", "--printshellcmds", "--configfile", *PRESETS, *overlay
+        )
+        for overlay in ([], [house.overlay(**changed)])
+    ]
+    commands = [sorted(re.findall(r"^Shell command: (.+)$", plan.stdout, re.MULTILINE)) for plan in plans]
+    assert commands[0] == commands[1]
+    steps = {command.split()[3] for command in commands[0]}
+    assert {"views.request", "views.generate", "views.people", "views.fitted"} <= steps
+    assert not [step for step in steps if step.startswith(("people.", "masks."))]
+
+
 @pytest.mark.parametrize(
     ("changed", "messages"),
     [
