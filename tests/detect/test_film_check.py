@@ -12,7 +12,6 @@ import pytest
 from studiorecon.detect import chapters
 from studiorecon.detect import keypoints as step
 from studiorecon.errors import UserError
-from studiorecon.footage import frames
 from studiorecon.keypoints.layout_choice import choose_layout
 from studiorecon.keypoints.layouts import LAYOUTS
 from studiorecon.keypoints.numbering import possible_numberings
@@ -219,8 +218,8 @@ def read_from_files(folder: Path, film: Path, people: list[np.ndarray]) -> tuple
 
 @pytest.fixture(scope="module")
 def long_take(tmp_path_factory: pytest.TempPathFactory) -> tuple[Take, Path]:
-    """A film of more frames than are decoded one after the other."""
-    own = take(3, frames._FRAMES_READ + 60, 1, (160, 90))
+    """A film of several groups of pictures."""
+    own = take(3, 360, 1, (160, 90))
     return own, write_video(tmp_path_factory.mktemp("long") / "a.mp4", np.array(own.pictures))
 
 

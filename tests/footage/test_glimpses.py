@@ -11,8 +11,10 @@ import av.filter
 import numpy as np
 import pytest
 from studiorecon.footage import frames as footage
+from studiorecon.footage.container import film_stream, open_container
 from studiorecon.footage.frames import seek_frames
 from studiorecon.footage.source import open_source
+from studiorecon.footage.timing import shown_frames
 
 FRAMES = 120
 
@@ -65,3 +67,14 @@ def test_colours_are_set_up_once_for_all_glimpses(tmp_path: Path, monkeypatch: p
     monkeypatch.setattr(av.filter, "Graph", lambda: made.append(graph()) or made[-1])
     assert len(seek_frames(source, [0, 37, 51, 119])) == 4
     assert len(made) == 1
+
+
+def test_frames_that_no_other_needs_are_not_decoded_on_the_way(tmp_path: Path) -> None:
+    path = written(tmp_path / "a.mp4", 1000)
+    last_s = open_source(path, 30.0).times_s[-1]
+    with open_container(path) as container:
+        stream = film_stream(container)
+        assert stream.time_base is not None
+        shown = [frame.time for frame in shown_frames(container, stream, needed=[round(last_s / stream.time_base)])]
+    assert shown[-1] == pytest.approx(last_s)
+    assert len(shown) < 0.7 * FRAMES

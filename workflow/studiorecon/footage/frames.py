@@ -28,8 +28,6 @@ if TYPE_CHECKING:
 
 # Times are sums of ticks of a container's clock; its finest tick is far longer than this.
 _TICK_S = 1e-6
-# Longest film in frames that is decoded from the start (1 to 2 s); longer ones are seeked.
-_FRAMES_READ = 600
 # Ways to read a picture in grey: whole, at a half, a quarter, an eighth.
 _HALVED = (
     cv2.IMREAD_GRAYSCALE,
@@ -92,13 +90,12 @@ def read_stills(source: FootageSource, wanted: Sequence[int]) -> Iterator[Intege
     yield from form.pictures(frame for number, frame in shown for _ in range(chosen[number]))
 
 
-def spread_frames(source: FootageSource, wanted: Sequence[int]) -> Iterator[Integer[np.ndarray, "H W 3"]]:
-    """The frames numbered ``wanted`` (ascending), which lie far apart; those of a long film are sought."""
-    whole = max(wanted, default=0) <= _FRAMES_READ
-    return read_stills(source, wanted) if whole else iter(seek_frames(source, wanted))
-
-
 def seek_frames(source: FootageSource, wanted: Sequence[int]) -> list[Integer[np.ndarray, "H W 3"]]:
+    """``spread_frames`` as a list."""
+    return list(spread_frames(source, wanted))
+
+
+def spread_frames(source: FootageSource, wanted: Sequence[int]) -> Iterator[Integer[np.ndarray, "H W 3"]]:
     """The frames numbered ``wanted`` (ascending; beyond the end: the last one), as from ``decode``.
 
     A video is sought to the key frame before each, so a frame costs at most one group of pictures. Raises UserError
@@ -106,30 +103,33 @@ def seek_frames(source: FootageSource, wanted: Sequence[int]) -> list[Integer[np
     """
     wanted = [min(number, source.frames - 1) for number in wanted]
     if source.pictures or not source.carried:
-        return list(read_stills(source, wanted))
+        yield from read_stills(source, wanted)
+        return
+    begin = 0
+    for part in source.parts:
+        yield from spread_frames(part, [number - begin for number in wanted if begin <= number < begin + part.frames])
+        begin += part.frames
     if source.parts:
-        return _glimpses_of_parts(source.parts, wanted)
-    form = source.form
-    assert form is not None
+        return
+    assert source.form is not None
+    done = 0
+    for picture in source.form.pictures(_sought(source, wanted)):
+        yield picture
+        done += 1
+    yield from read_stills(source, wanted[done:])
+
+
+def _sought(source: FootageSource, wanted: Sequence[int]) -> Iterator[av.VideoFrame]:
+    """The frames numbered ``wanted`` (ascending) up to one that is damaged, or where a container does not seek."""
     try:
         with open_container(source.path) as container:
-            found = list(_frames_at(source, container, wanted))
+            for frame in _frames_at(source, container, wanted):
+                if frame is None:
+                    return
+                yield frame
     except (av.FFmpegError, IndexError) as error:
         if lacks_thread(error):
             raise
-        found = [None]
-    if None in found:  # a container that does not seek, or a damaged frame
-        return list(read_stills(source, wanted))
-    return list(form.pictures(frame for frame in found if frame is not None))
-
-
-def _glimpses_of_parts(parts: Sequence[FootageSource], wanted: Sequence[int]) -> list[np.ndarray]:
-    found: list[np.ndarray] = []
-    begin = 0
-    for part in parts:
-        found += seek_frames(part, [number - begin for number in wanted if begin <= number < begin + part.frames])
-        begin += part.frames
-    return found
 
 
 def small_grey(source: FootageSource, width: int, count: int) -> Iterator[Integer[np.ndarray, "h w"]]:
@@ -166,13 +166,10 @@ def _frames_from(source: FootageSource, first: int, stop: int, damaged: list[int
     if source.parts:
         return
     done = first
-    if first > _FRAMES_READ and source.carried:
-        with suppress(av.FFmpegError, IndexError), open_container(source.path) as container:
-            for frame in _frames_at(source, container, range(first, stop)):
-                if frame is None:
-                    break
-                done += 1
-                yield frame
+    if first and source.carried:
+        for frame in _sought(source, range(first, stop)):
+            yield frame
+            done += 1
     yield from islice(_video_frames(source, damaged), done, stop) if done < stop else ()
 
 
@@ -188,6 +185,8 @@ def _frames_at(
     stream = film_stream(container)
     assert stream.time_base is not None
     half_s = 0.5 / source.fps
+    # Deinterlacing needs the frames between.
+    needed = None if source.form.deinterlacing else {round(source.times_s[n] / stream.time_base) for n in wanted}
     last: av.VideoFrame | None = None
     frames: Iterator[av.VideoFrame] = iter(())
     for before, index in zip([-1, *wanted], wanted):
@@ -195,7 +194,8 @@ def _frames_at(
         half_s = 0.5 * min(np.diff(source.times_s[max(index - 1, 0) : index + 2]), default=1 / source.fps)
         if last is None or (index > before + 1 and _key_frame_between(stream, last.time, target_s)):
             container.seek(int(target_s / stream.time_base), stream=stream, backward=True)
-            frames, last = source.form.without_fields(_of_one_size(source, shown_frames(container, stream))), None
+            shown = shown_frames(container, stream, needed=needed)
+            frames, last = source.form.without_fields(_of_one_size(source, shown)), None
         while last is None or last.time < target_s - half_s:
             following = next(frames, None)
             if following is None:

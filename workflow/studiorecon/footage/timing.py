@@ -3,7 +3,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Collection, Iterator
 from dataclasses import dataclass
 from fractions import Fraction
 from itertools import islice
@@ -147,18 +147,25 @@ class _DamagedError(Exception):
 
 
 def shown_frames(
-    container: av.container.InputContainer, stream: av.VideoStream, to_damage: bool = False
+    container: av.container.InputContainer,
+    stream: av.VideoStream,
+    to_damage: bool = False,
+    needed: Collection[int] | None = None,
 ) -> Iterator[av.VideoFrame]:
     """The undamaged frames from the current position of ``container``.
 
     ``to_damage``: raises _DamagedError for a damaged or lost frame, except for the first ones, whose reference is cut
-    off.
+    off. ``needed``: time stamps of the frames that must be among them; others that no frame refers to are not decoded.
     """
+    # In H.264 every frame states whether others refer to it; in HEVC it does so within its temporal layer only.
+    skips = needed is not None and stream.codec_context.name == "h264"
     begun, missing = False, 0
     for packet in _readable(container, stream):
         if begun and to_damage and packet.is_corrupt:
             raise _DamagedError
         missing += bool(packet.size) and not packet.is_discard
+        if skips and needed is not None:
+            stream.codec_context.skip_frame = "DEFAULT" if packet.pts in needed else "NONREF"
         try:
             frames = packet.decode()
         except av.FFmpegError as error:
