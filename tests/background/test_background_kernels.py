@@ -30,7 +30,7 @@ def compiled() -> set[tuple[str, str]]:
 def test_a_person_is_trained_with_the_kernels_that_were_compiled_ahead(
     made: Made, default_settings: Callable[..., dict], tmp_path: Path
 ) -> None:
-    kernels.run(1, tmp_path / "kernels.txt")
+    kernels.run(1, "cpu", tmp_path / "kernels.txt")
     assert (tmp_path / "kernels.txt").is_file()
     before = compiled()
     section = default_settings("humans", iterations=6, pose_from=1)
@@ -40,3 +40,12 @@ def test_a_person_is_trained_with_the_kernels_that_were_compiled_ahead(
     call(train.run, settings, **made.options, **files)
     assert before
     assert compiled() - before == set()
+
+
+def test_on_a_gpu_its_kernels_are_the_ones_compiled_ahead(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    places = []
+    monkeypatch.setattr(kernels, "resolve", lambda setting, what: setting)
+    monkeypatch.setattr(kernels, "train_still", lambda *_, device, **__: places.append(device))
+    monkeypatch.setattr(kernels, "_as_a_person", lambda threads: places.append("a person's"))
+    kernels.run(1, "cuda", tmp_path / "kernels.txt")
+    assert places == ["cuda"]

@@ -20,12 +20,14 @@ rule background_kernels:
         "timings/{scene}/background/kernels.tsv"
     priority: 1
     container:
-        image("core")
+        image(PLAN.networks.rasteriser_image)
     threads: 1
     resources:
         mem_mb=memory(1500),
+        gpu=PLAN.networks.rasteriser_gpus,
     params:
         code=code("background.kernels"),
+        device=config["device"],
     shell:
         command("background.kernels")
 

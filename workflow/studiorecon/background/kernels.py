@@ -1,8 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
 """Compiles the training kernels of room and people while cameras and people are still being estimated.
 
-That takes half a minute of one core on a new machine. The trainings run in parallel, and each would compile all of it
-separately. Where they are compiled already this takes some seconds and changes nothing.
+That takes half a minute of one core on a new machine, and a minute of every core for gsplat's on a GPU. The trainings
+run in parallel, and each would compile all of it separately. Where they are compiled already this takes some seconds
+and changes nothing.
 """
 
 from __future__ import annotations
@@ -17,6 +18,7 @@ from studiorecon.scene.camera import Camera
 from studiorecon.scene.gaussians import Gaussians
 from studiorecon.signature import Written
 from studiorecon.splatting.cpu.rasterise import Rasteriser
+from studiorecon.splatting.device import Device, resolve
 from studiorecon.splatting.train.optimiser import Adam
 from studiorecon.splatting.train.schedule import TrainingSettings
 from studiorecon.splatting.train.still import train_still
@@ -27,10 +29,13 @@ _COUNT = 48
 _NEAR_M = 0.1
 
 
-def run(threads: int, kernels: Written) -> None:
+def run(threads: int, device: str, kernels: Written) -> None:
     """Train a handful of Gaussians for two steps, as a room and as a person; write ``kernels`` when done."""
-    _as_a_room(threads)
-    _as_a_person(threads)
+    place = resolve(device, "kernels are compiled")
+    _as_a_room(threads, place)
+    # On a GPU people are drawn by the room's kernels, and the rest of their training is torch's.
+    if place == "cpu":
+        _as_a_person(threads)
     say("the training kernels are compiled")
     kernels.write_text("compiled\n", encoding="utf-8")
 
@@ -50,9 +55,9 @@ def _picture() -> Target:
     return Target(camera, np.zeros((40, 40, 3), np.float32), np.ones((40, 40), np.float32), silhouette=inside)
 
 
-def _as_a_room(threads: int) -> None:
+def _as_a_room(threads: int, place: Device) -> None:
     rng, settings = np.random.default_rng(0), TrainingSettings(iterations=2, checkpoint_every_s=0.0)
-    train_still(_cloud(rng), [_picture()], settings, rng, extent_m=1.0, threads=threads, label="kernels")
+    train_still(_cloud(rng), [_picture()], settings, rng, extent_m=1.0, threads=threads, device=place, label="kernels")
 
 
 def _as_a_person(threads: int) -> None:
