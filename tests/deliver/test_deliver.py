@@ -104,12 +104,18 @@ def test_exported_cameras_come_back_the_same(tmp_path: Path, form: str) -> None:
         assert not back[camera.name].distortion.any()
 
 
+@pytest.mark.parametrize("fingers", [False, True])
 @pytest.mark.parametrize(("form", "place"), [("openpose", "{}_json"), ("easymocap", "annots/{}")])
-def test_exported_keypoints_come_back_the_same(tmp_path: Path, form: str, place: str) -> None:
+def test_exported_keypoints_come_back_the_same(tmp_path: Path, form: str, place: str, fingers: bool) -> None:
     rng = np.random.default_rng(3)
     points = np.concatenate([rng.uniform(5, 100, (5, 17, 2)), rng.uniform(0.2, 1, (5, 17, 1))], axis=-1)
     points[2, 4] = [np.nan, np.nan, 0.0]
     seen = Detections("cam00", "coco17", np.array([0, 0, 2, 3, 3]), np.array([0, 1, 0, 0, 1]), points)
+    if fingers:
+        hands = rng.uniform(0.2, 1, (5, 2, 21, 3))
+        hands[1, 0] = [np.nan, np.nan, 0.0]
+        seen = replace(seen, hands=hands.astype(np.float32))
+        points = np.concatenate([points, seen.hands.reshape(5, 42, 3)], axis=1)
     camera = replace(ring([0], "cam")[0], name="cam00")
     numbers = keypoint_files.track_numbers(
         "cam00", {("cam00", 0): "p1", ("cam00", 1): "", ("cam01", 1): "p0"}, ["p0", "p1"]
@@ -145,6 +151,12 @@ def test_what_an_earlier_export_left_is_removed(tmp_path: Path, root: Path) -> N
     text = (folder / "README.txt").read_text()
     assert "0 people" in text
     assert not [line for line in text.splitlines() if line.startswith("bodies/  ")]
+
+
+def test_the_readme_says_whose_fingers_are_in_which_files() -> None:
+    about = "take", ["p0", "p1"], ["orbit"], 0, 5, 30.0
+    assert "Fingers" not in export.readme_text(*about)
+    assert "Fingers (p1)" in export.readme_text(*about, fingers=["p1"])
 
 
 def test_keypoints_of_the_capture_are_delivered_with_identities(tmp_path: Path, root: Path) -> None:

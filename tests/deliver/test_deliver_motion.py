@@ -109,6 +109,9 @@ def test_fingers_are_markers_smplh_poses_and_bones(tmp_path: Path, person: Perso
     tip = skeleton.keypoints(["right_pinky4"], poses, hands.betas, hands.trans)
     points = ezc3d.c3d(str(tmp_path / "p2.c3d"))["data"]["points"]
     assert np.abs(points[:3, -1, 0] - 1000 * tip[0, 0]).max() < 1e-2
+    spoken = json.loads((tmp_path / "p2.openpose3d.json").read_text())[0]["people"][0]
+    assert len(spoken["hand_left_keypoints_3d"]) == 21 * 4
+    assert spoken["hand_right_keypoints_3d"][-4:-1] == pytest.approx(tip[0, 0], abs=1e-5)
     with np.load(tmp_path / "p2.amass.npz") as smplh:
         np.testing.assert_array_equal(smplh["poses"], np.concatenate([person.poses[:, :66], hands.hand_poses], axis=1))
     whole = (tmp_path / "p2.glb").read_bytes()

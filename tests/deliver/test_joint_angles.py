@@ -9,9 +9,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
+from studiorecon.body.hands import finger_axes
 from studiorecon.body.model import BodyModel
 from studiorecon.deliver import joint_angles
-from studiorecon.keypoints.layouts import JOINT_NAMES
+from studiorecon.keypoints.layouts import FINGER_NAMES, JOINT_NAMES
 from studiorecon.scene.files import read_table
 from studiorecon.scene.people import Person
 
@@ -46,6 +47,18 @@ def angles(person: Person, body: BodyModel) -> dict[str, np.ndarray]:
 
 
 HANGING = {"left_shoulder": (0.0, 0.0, -90.0), "right_shoulder": (0.0, 0.0, 90.0)}
+
+
+def test_fingers_flex_to_the_palm_by_the_angle_they_are_bent(body: BodyModel) -> None:
+    turns = np.zeros((2, 5, 3, 3))
+    turns[:, 1, 0] = np.radians(40) * finger_axes(body)[:, 1, :, 2]
+    turns[:, 0, 0] = np.radians(-10) * finger_axes(body)[:, 0, :, 1]
+    person = replace(posed(body), hand_poses=turns.reshape(1, 90), hand_scale=np.ones(2))
+    found = dict(zip(FINGER_NAMES, joint_angles.finger_angles_deg(person, body)[0]))
+    for side in ("left", "right"):
+        assert found[f"{side}_middle1"] == pytest.approx([40, 0, 0], abs=1e-6)
+        assert found[f"{side}_index1"] == pytest.approx([0, 10, 0], abs=1e-6), "away from the thumb"
+        assert found[f"{side}_middle2"] == pytest.approx([0, 0, 0], abs=1e-6)
 
 
 def test_standing_with_hanging_arms_is_nearly_zero_but_for_the_palms(body: BodyModel) -> None:

@@ -11,13 +11,14 @@ import numpy as np
 import pytest
 import scipy
 from studiorecon.body.avatar.avatar_files import read_avatar
+from studiorecon.body.hands import scale_hands
 from studiorecon.body.model import BodyModel
 from studiorecon.deliver import usd
 from studiorecon.errors import UserError
 from studiorecon.scene.gaussians_ply import read_ply
 from studiorecon.splatting.rigid_object import RigidObject
 
-from tests.made.scene import FPS, FRAMES, render_options, write_scene
+from tests.made.scene import FPS, FRAMES, avatar, render_options, write_scene
 from tests.made.steps import call
 
 TAKEN = ("manifest", "model", "background", "provenance", "gaussians", "avatars", "body")
@@ -138,3 +139,21 @@ def test_a_person_is_hidden_while_away(tmp_path: Path, root: Path) -> None:
     for one in (late, mesh):
         assert [one.ComputeVisibility(t) for t in range(4)] == ["invisible", "invisible", "inherited", "inherited"]
     assert not stage.GetPrimAtPath("/always").GetAttribute("visibility").HasAuthoredValue()
+
+
+@pytest.mark.usefixtures("loads")
+def test_fingers_bend_the_skin(root: Path) -> None:
+    from pxr import Usd, UsdGeom, UsdSkel
+
+    body = BodyModel.load(root / "resources/body.npz")
+    plain, rng = avatar(body, np.random.default_rng(1), "p0"), np.random.default_rng(2)
+    poses = np.concatenate([plain.poses, rng.normal(0, 0.3, (len(plain.poses), 90))], axis=1)
+    skeleton = scale_hands(body, np.array([1.1, 0.9]))
+    stage = Usd.Stage.CreateInMemory()
+    usd.add_body(stage, "/p0", replace(plain, model=skeleton, poses=poses, hand_scale=np.array([1.1, 0.9])))
+    cache, mesh = UsdSkel.Cache(), stage.GetPrimAtPath("/p0/body")
+    cache.Populate(UsdSkel.Root(stage.GetPrimAtPath("/p0")), Usd.PrimDefaultPredicate)
+    joints = cache.GetSkelQuery(UsdSkel.Skeleton(stage.GetPrimAtPath("/p0/skeleton")))
+    points = UsdGeom.Mesh(mesh).GetPointsAttr().Get()
+    assert cache.GetSkinningQuery(mesh).ComputeSkinnedPoints(joints.ComputeSkinningTransforms(1), points, 1)
+    assert np.abs(np.asarray(points) - skeleton.vertices(poses, plain.betas, plain.trans)[1]).max() < 1e-4

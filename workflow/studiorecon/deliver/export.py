@@ -74,7 +74,8 @@ _STILL_FRAME = 0
 _STILL = "still.ply         the room and everybody in it at frame {frame}, for viewers of static scenes\n"
 _KEYPOINTS = (
     "keypoints/        2D keypoints with identities, in pixels of the exported cameras: "
-    "OpenPose JSON and EasyMocap annots ({layouts})\n"
+    "OpenPose JSON and EasyMocap annots ({layouts};\n"
+    "                  with 21 points of each hand where hands were searched for)\n"
 )
 _PICTURES = {
     "none": "",
@@ -92,6 +93,12 @@ _PERSONS = (
     "anatomical position: flexion,\n                  then adduction, then internal rotation; left mirrored), "
     ".openpose3d.json (BODY_25, z up) and .glb "
     "(coloured mesh, skeleton\n                  and animation, y up) are for other programs\n"
+)
+_FINGERS = (
+    "                  Fingers ({people}): 30 joints after the 24 in .bvh, .glb, scene.glb and scene.usdc, in SMPL-H's "
+    "order in\n                  .npz (hand_*) and .amass.npz (52 joints); 20 markers of each hand in .trc and .c3d; "
+    "angles in .angles.tsv\n                  (0 = flat hand); 21 points of each hand in .openpose3d.json. "
+    ".mot has none: its model has no fingers\n"
 )
 
 
@@ -118,8 +125,9 @@ def readme_text(
     fps: float,
     layouts: Sequence[str] = (),
     settings: Settings | None = None,
+    fingers: Sequence[str] = (),
 ) -> str:
-    """The text that explains the files; it mentions only those that exist."""
+    """The text that explains the files; it mentions only those that exist. ``fingers``: people who have some."""
     chosen = settings or Settings()
     unit = {"m": "metres", "cm": "centimetres"}[chosen.bvh_unit]
     return README.format(
@@ -127,7 +135,8 @@ def readme_text(
         pictures=_PICTURES[chosen.pictures],
         people=f"{len(people)} people" if len(people) != 1 else "one person",
         still=_STILL.format(frame=frame) if people else "",
-        persons=_PERSONS.format(frame=frame, bvh_unit=unit) if people else "",
+        persons=(_PERSONS.format(frame=frame, bvh_unit=unit) if people else "")
+        + (_FINGERS.format(people=", ".join(fingers)) if fingers else ""),
         keypoints=_KEYPOINTS.format(layouts=", ".join(layouts)) if layouts else "",
         films=", ".join(films) if films else "none",
         frames=frames,
@@ -215,7 +224,8 @@ def run(
     copies[blender] = folder / blender.name
     copy_files(copies)
     layouts, shots = sorted({d.layout for d in seen}), [film.stem for film in films]
-    about = _STILL_FRAME, capture.frames, capture.fps, layouts, settings
+    fingers = [p.person for p in people if p.hand_scale is not None]
+    about = _STILL_FRAME, capture.frames, capture.fps, layouts, settings, fingers
     write_text(folder / "README.txt", readme_text(capture.scene, names, shots, *about))
     paths = [*copies.values(), *other]
     delivered = sorted(["README.txt", *written, *(str(path.relative_to(folder)) for path in paths)])

@@ -8,6 +8,10 @@ then adduction about x, then internal rotation about the child's own y (R = Rz R
 systems of hip, knee and ankle; the left side is mirrored. Arms use the same order, relative to the thorax, where ISB
 has another one for the shoulder: it has its pole where an arm is 90 degrees to the side, which the angles pass
 steadily.
+
+The table also has the fingers of a person with fingers: three joints of each from the knuckle on, 0 in the body model's
+flat hand. They flex towards the palm, adduct away from the thumb and rotate about their bone. Rajagopal's model has no
+fingers.
 """
 
 from __future__ import annotations
@@ -17,10 +21,11 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
+from studiorecon.body.hands import finger_axes
 from studiorecon.body.model import BodyModel
 from studiorecon.deliver.motion_files import Y_UP_FROM_Z_UP, euler_zxy_deg
 from studiorecon.geometry import rotations
-from studiorecon.keypoints.layouts import JOINT_NAMES
+from studiorecon.keypoints.layouts import FINGER_NAMES, JOINT_NAMES
 from studiorecon.scene.files import write_table, write_text
 from studiorecon.scene.people import Person
 
@@ -92,6 +97,16 @@ def angles_deg(person: Person, body: BodyModel) -> Float[np.ndarray, "T J 3"]:
     return _steady(np.stack(found, axis=1))
 
 
+def finger_angles_deg(person: Person, body: BodyModel) -> Float[np.ndarray, "T 30 3"]:
+    """Angles of SMPL-H's 30 finger joints as of ``angles_deg``; T x 0 x 3 for a person without fingers."""
+    if person.hand_poses is None:
+        return np.zeros((len(person.poses), 0, 3))
+    twist, spread, flexion = np.moveaxis(np.repeat(finger_axes(body).reshape(10, 3, 3), 3, axis=0), -1, 0)
+    axes = np.stack([-spread, twist, flexion], axis=-1)
+    turned = rotations.exp(person.hand_poses.reshape(-1, 30, 3))
+    return _steady(euler_zxy_deg(np.swapaxes(axes, -1, -2) @ turned @ axes))
+
+
 def _from_anatomical(rest: Float[np.ndarray, "J 3"], bone: str) -> Float[np.ndarray, "3 3"]:
     """The shortest turn from straight down to a bone at rest, where palms face down; the identity for ""."""
     if not bone:
@@ -124,11 +139,14 @@ def table(path: Path, person: Person, body: BodyModel) -> list[Path]:
 
     Frames without the person have no rows.
     """
+    whole = np.concatenate([angles_deg(person, body), finger_angles_deg(person, body)], axis=1)
+    sided = [name.partition("_") for name in FINGER_NAMES] if person.hand_poses is not None else []
+    names = [*(joint.name for joint in JOINTS), *(f"{finger}_{side[0]}" for side, _, finger in sided)]
     rows = [
-        (t, f"{t / person.fps:.6f}", joint.name, *(f"{angle:.4f}" for angle in angles), int(person.valid[t]))
-        for t, every in enumerate(angles_deg(person, body))
+        (t, f"{t / person.fps:.6f}", name, *(f"{angle:.4f}" for angle in angles), int(person.valid[t]))
+        for t, every in enumerate(whole)
         if person.present[t]
-        for joint, angles in zip(JOINTS, every, strict=True)
+        for name, angles in zip(names, every, strict=True)
     ]
     columns = ("frame", "time_s", "joint", "flexion_deg", "adduction_deg", "rotation_deg", "measured")
     write_table(path, columns, rows)

@@ -1,5 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Writes 2D keypoints with identities, in the exported cameras' pixels: OpenPose JSON and EasyMocap annots."""
+"""Writes 2D keypoints with identities, in the exported cameras' pixels: OpenPose JSON and EasyMocap annots.
+
+Both hold 21 points of each hand where hands were searched for.
+"""
 
 from __future__ import annotations
 
@@ -10,6 +13,8 @@ from typing import Any
 
 import numpy as np
 
+from studiorecon.keypoints.hands import SIDES
+from studiorecon.keypoints.layouts import LAYOUTS
 from studiorecon.scene.camera import Camera
 from studiorecon.scene.files import write_text
 from studiorecon.scene.people import Detections
@@ -25,7 +30,11 @@ def openpose(folder: Path, seen: Detections, camera: Camera, frames: int, people
         entries = [
             {
                 "person_id": [people.get(int(seen.track[d]), -1)],
-                "pose_keypoints_2d": np.round(_triples(seen, d), 9).reshape(-1).tolist(),
+                "pose_keypoints_2d": np.round(_triples(seen.keypoints[d]), 9).reshape(-1).tolist(),
+                **{
+                    f"hand_{side}_keypoints_2d": np.round(hand, 9).reshape(-1).tolist()
+                    for side, hand in _hands(seen, d).items()
+                },
             }
             for d in np.flatnonzero(seen.frame == frame).tolist()
         ]
@@ -41,7 +50,7 @@ def easymocap(folder: Path, seen: Detections, camera: Camera, frames: int, peopl
     for frame in range(frames):
         annots = []
         for d in np.flatnonzero(seen.frame == frame).tolist():
-            points = _triples(seen, d)
+            points = _triples(seen.keypoints[d])
             present = points[:, 2] > 0
             low, high = points[present, :2].min(0), points[present, :2].max(0)
             box = [*low.tolist(), *high.tolist(), float(points[present, 2].mean())]
@@ -50,6 +59,7 @@ def easymocap(folder: Path, seen: Detections, camera: Camera, frames: int, peopl
                     "personID": people.get(int(seen.track[d]), -1),
                     "bbox": box,
                     "keypoints": points.tolist(),
+                    **{f"hand{side[0]}2d": hand.tolist() for side, hand in _hands(seen, d).items()},
                     "isKeyframe": False,
                 }
             )
@@ -76,11 +86,16 @@ def track_numbers(camera: str, identities: Mapping[tuple[str, int], str], people
     return {track: people.index(p) for (name, track), p in identities.items() if name == camera and p in people}
 
 
-def _triples(seen: Detections, d: int) -> np.ndarray:
+def _triples(points: np.ndarray) -> np.ndarray:
     """(K, 3) x, y, confidence; a missing point is 0, 0, 0, as in both tools."""
-    present = seen.keypoints[d, :, 2] > 0
-    shifted = seen.keypoints[d] - [_CENTRE, _CENTRE, 0.0]
-    return np.where(present[:, None], shifted, 0.0)
+    return np.where(points[:, 2:] > 0, points - [_CENTRE, _CENTRE, 0.0], 0.0)
+
+
+def _hands(seen: Detections, d: int) -> dict[str, np.ndarray]:
+    """Side → 21 points of the hands that were searched for beside the body; of none that its layout already holds."""
+    if seen.hands is None or any("_hand_" in name for name in LAYOUTS[seen.layout].keypoints):
+        return {}
+    return {side: _triples(hand) for side, hand in zip(SIDES, seen.hands[d].astype(np.float64))}
 
 
 def _write(path: Path, content: dict[str, Any]) -> None:

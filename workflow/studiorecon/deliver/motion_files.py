@@ -18,6 +18,7 @@ import numpy as np
 from studiorecon.body.hands import posed_skeleton
 from studiorecon.body.model import BodyModel, shape_and_size
 from studiorecon.geometry import rotations
+from studiorecon.keypoints.hands import SIDES
 from studiorecon.keypoints.layouts import HAND_POINT_NAMES, LAYOUTS
 from studiorecon.machine.libraries import install_remedy
 from studiorecon.progress import say, warn
@@ -198,17 +199,25 @@ def _markers(person: Person, body: BodyModel, frames: slice = slice(None)) -> tu
 def openpose_3d(path: Path, person: Person, body: BodyModel) -> list[Path]:
     """Writes OpenPose's JSON with ``pose_keypoints_3d``: BODY_25, metres, z up, confidence 0 in interpolated frames.
 
-    One file for the clip: a list with one OpenPose document per frame, empty while the person is away.
+    A person with fingers also has ``hand_left_keypoints_3d`` and ``hand_right_keypoints_3d``, 21 points each. One file
+    for the clip: a list with one OpenPose document per frame, empty while the person is away.
     """
-    points = body.keypoints(_BODY_25, person.poses, person.betas, person.trans)
-    confident = np.broadcast_to(person.valid[:, None, None].astype(np.float64), (*points.shape[:2], 1))
-    rows = np.round(np.concatenate([points, confident], axis=2), 6).reshape(len(points), -1)
+    skeleton, poses = posed_skeleton(person, body)
+    parts = {"pose": _BODY_25}
+    if person.hand_poses is not None:
+        parts |= {f"hand_{side}": names for side, names in zip(SIDES, HAND_POINT_NAMES)}
+    rows = {}
+    for part, names in parts.items():
+        points = skeleton.keypoints(names, poses, person.betas, person.trans)
+        confident = np.broadcast_to(person.valid[:, None, None].astype(np.float64), (*points.shape[:2], 1))
+        whole = np.concatenate([points, confident], axis=2)
+        rows[f"{part}_keypoints_3d"] = np.round(whole, 6).reshape(len(points), -1).tolist()
     frames = [
         {
             "version": 1.3,
-            "people": [{"person_id": [int(person.name[1:])], "pose_keypoints_3d": row.tolist()}] if there else [],
+            "people": [{"person_id": [int(person.name[1:])]} | {k: v[t] for k, v in rows.items()}] if there else [],
         }
-        for row, there in zip(rows, person.present)
+        for t, there in enumerate(person.present)
     ]
     write_text(path, json.dumps(frames, separators=(",", ":")) + "\n")
     return [path]
