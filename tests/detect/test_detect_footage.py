@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -14,6 +15,7 @@ from studiorecon.detect import moments as first
 from studiorecon.detect import people
 from studiorecon.detector.blazepose import LANDMARKS, MASK_PX, Landmarks
 from studiorecon.detector.crops import Region
+from studiorecon.detector.film_rotation import quarter_turns
 from studiorecon.detector.network_files import DetectorFiles
 from studiorecon.footage.source import open_source
 from studiorecon.scene.raw_detections import RawDetections, read_raw_detections
@@ -98,7 +100,7 @@ def test_people_are_looked_for_upright_and_reported_in_the_films_own_pixels(
     np.testing.assert_allclose(upper, [MASK_PX / 2, MASK_PX / 2 - 0.4 * MASK_PX], atol=1e-6)
 
 
-@pytest.mark.parametrize(("pictures", "searched"), [(1, 1), (4, 2)])
+@pytest.mark.parametrize(("pictures", "searched"), [(1, 4), (4, 1)])
 def test_no_picture_is_searched_twice_for_how_it_is_turned(
     pictures: int, searched: int, root: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -110,10 +112,27 @@ def test_no_picture_is_searched_twice_for_how_it_is_turned(
             return super().detect_new_people(picture, known, closely)
 
     monkeypatch.setattr(DetectorFiles, "detector", lambda _: Counting())
-    picture = np.zeros((120, 200, 3), np.uint8)
-    picture[30, 50], picture[70, 60] = 255, 200
     (tmp_path / "a").mkdir()
     for number in range(pictures):
+        picture = np.zeros((120, 200, 3), np.uint8)
+        picture[30, 50 + 9 * number], picture[70, 60 + 9 * number] = 255, 200
         cv2.imwrite(str(tmp_path / "a" / f"{number}.png"), picture)
     assert len(detected(tmp_path / "a", root, tmp_path).frame) == pictures
     assert len(shown) == searched
+
+
+@pytest.mark.parametrize(
+    ("moved", "turns"), [(1.0, 0), (10.0, 1), (None, 1)], ids=["furniture", "people", "one picture alone"]
+)
+def test_a_film_is_turned_for_people_who_move_and_not_for_its_furniture(moved: float | None, turns: int) -> None:
+    class Fair(OfTheUpright):
+        """As sure of furniture as of a seated woman."""
+
+        def look(self, picture: np.ndarray, region: Region) -> Landmarks:
+            seen = super().look(picture, region)
+            return replace(seen, presence=seen.presence * (0.72 if moved else 1.0))
+
+    picture = np.zeros((120, 200, 3), np.uint8)
+    picture[30, 50], picture[70, 60] = 255, 200
+    apart = () if moved is None else [np.full((120, 200), moved).T] * 3
+    assert quarter_turns(Fair(), [np.rot90(picture, 3)] * 3, apart, 1.0)[0] == turns  # type: ignore[arg-type]

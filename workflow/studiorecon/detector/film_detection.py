@@ -10,11 +10,12 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from studiorecon.detector.blazepose import MASK_PX, Landmarks
-from studiorecon.detector.film_rotation import film_from_turned, most_changed_frames, quarter_turns, rotate_picture
+from studiorecon.detector.film_rotation import film_from_turned, quarter_turns, rotate_picture
 from studiorecon.detector.frame_detection import Detector
 from studiorecon.detector.tracking import detect_people, keypoints_with_confidence
 from studiorecon.footage.frames import seek_frames, spread_frames
 from studiorecon.footage.source import FootageSource
+from studiorecon.keypoints.motion import differences_from_usual, shrink_picture
 
 if TYPE_CHECKING:
     from jaxtyping import Integer
@@ -44,10 +45,10 @@ class FilmDetector:
         frames = sorted({frame for first, count in looked for frame in range(first, first + count)})
         footage = self.footage
         moments = sorted({frames[round(k * (len(frames) - 1) / (_COMPARED - 1))] for k in range(_COMPARED)})
-        shown = moments
-        if len(moments) > _SHOW_UP:
-            shown = [moments[k] for k in most_changed_frames(spread_frames(footage, moments), _SHOW_UP)]
-        turns, seen = quarter_turns(self.network, seek_frames(footage, shown))
+        apart, noise = differences_from_usual([shrink_picture(p) for p in spread_frames(footage, moments)])
+        most = sorted(np.argsort(-apart.mean((1, 2)), kind="stable")[:_SHOW_UP].tolist())
+        shown, compared = [moments[k] for k in most], apart[most] if len(moments) > 2 else ()
+        turns, seen = quarter_turns(self.network, seek_frames(footage, shown), compared, noise)
         return replace(self, turns=turns, seen=dict(zip(shown, seen)))
 
     def rows(self, pictures: Iterable[Integer[np.ndarray, "H W 3"]], begin: int) -> list[tuple]:

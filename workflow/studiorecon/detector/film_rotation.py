@@ -7,11 +7,11 @@ films, calibrations and all other steps keep the pixels as they are stored.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
-import cv2
 import numpy as np
+from scipy.stats import norm
 
 from studiorecon.detector.blazepose import Landmarks
 from studiorecon.detector.frame_detection import Detector, landmark_confidence
@@ -21,39 +21,66 @@ if TYPE_CHECKING:
 
 # Half a quarter turn: a body nearer to upright than to lying.
 _UPRIGHT_RAD = np.pi / 4
-# Trust per picture with which nothing else is tried: a real man and a seated woman have 0.7 to 0.9 upright, and at most
-# 0.3 in pictures turned otherwise. Furniture of an empty room, turned, had up to 0.65: trust alone cannot exclude it.
-_TRUSTED = 0.5
-# Size at which pictures of one film are compared.
-_GLANCE_WH = 160, 160
-# Another turn must show people so many times as clearly: somebody who bends or lies down turns no picture.
-_CLEARER = 2.0
+# One camera of twenty hangs otherwise than upright: log odds.
+_TURNED_NATS = -3.0
+# With so much evidence in one picture nothing else is tried: a seated man in pictures turned by 90° gives up to 4.1.
+_SURE_NATS = 4.5
+# Mean and deviation of the networks' trust in real people, walking or seated (0.4 to 0.95), and in an empty room's
+# furniture (0.2 to 0.65).
+_PERSON_TRUST, _FURNITURE_TRUST, _TRUST_SIGMA = 0.75, 0.45, 0.15
+# Logarithm of how many times the noise a picture differs from the usual one at landmarks, mean and deviation: of people
+# who move, seated ones included (8 to 35 times), and of what does not move (0.3 to 1.1).
+_MOVING, _STILL = (2.5, 1.0), (0.0, 0.4)
+# One person of ten keeps still in the pictures that are compared; something else moves behind furniture in 3 of 100.
+_STILL_PEOPLE, _PASSED_FURNITURE = 0.1, 0.03
+# Coding changes pixels by a grey level even where a film has no noise.
+_MIN_NOISE_LEVELS = 1.0
 
 
 def quarter_turns(
-    detector: Detector, pictures: Sequence[Integer[np.ndarray, "H W 3"]]
+    detector: Detector,
+    pictures: Sequence[Integer[np.ndarray, "H W 3"]],
+    apart: Sequence[Float[np.ndarray, "h w"]] = (),
+    noise: float = 0.0,
 ) -> tuple[int, list[list[Landmarks]]]:
-    """(counter-clockwise quarter turns, 0 to 3, with which ``detector`` sees people upright in ``pictures``, who is in
-    the first pictures turned so); 0 where no other number is clearly better."""
-    seen: list[list[list[Landmarks]]] = [[]]
-    for picture in pictures:
-        seen[0].append(detector.detect_new_people(picture))
-        if _upright(seen[0]) >= _TRUSTED * len(pictures):
-            return 0, seen[0]
-    shown = [_upright(seen[0])]
-    for turns in (1, 2, 3):
-        seen.append([detector.detect_new_people(rotate_picture(picture, turns)) for picture in pictures])
-        shown.append(_upright(seen[turns]))
-    best = int(np.argmax(shown))
-    best = best if shown[best] > _CLEARER * shown[0] else 0
+    """(counter-clockwise quarter turns, 0 to 3, with which ``detector`` most likely sees people upright in
+    ``pictures``, who is in the first pictures turned so).
+
+    ``apart``: differences of the pictures from the film's usual one, smaller or not, and the ``noise`` of these
+    differences; without them, motion says nothing.
+    """
+    nats = [0.0, *[_TURNED_NATS] * 3]
+    seen: list[list[list[Landmarks]]] = [[], [], [], []]
+    for turns in range(4):
+        for number, picture in enumerate(pictures):
+            turned = rotate_picture(picture, turns)
+            people = detector.detect_new_people(turned)
+            seen[turns].append(people)
+            moved = np.rot90(apart[number], turns) / max(noise, _MIN_NOISE_LEVELS) if len(apart) else None
+            found = sum(_upright_nats(one, moved, turned.shape[:2]) for one in people)
+            if not turns and found > _SURE_NATS:
+                return 0, seen[0]
+            nats[turns] += found
+    best = int(np.argmax(nats))
     return best, seen[best]
 
 
-def most_changed_frames(pictures: Iterable[Integer[np.ndarray, "H W 3"]], count: int) -> list[int]:
-    """Which ``count`` of a film's pictures differ most from the usual one, their median, in order: they show people."""
-    small = np.stack([cv2.resize(p, _GLANCE_WH, interpolation=cv2.INTER_AREA).astype(float) for p in pictures])
-    differ = np.abs(small - np.median(small, axis=0)).mean((1, 2, 3))
-    return sorted(np.argsort(-differ, kind="stable")[:count].tolist())
+def _upright_nats(seen: Landmarks, moved: Float[np.ndarray, "h w"] | None, hw: tuple[int, ...]) -> float:
+    """Log evidence of an upright person, at least 0: nobody says nothing about how a camera hangs. ``moved``: multiples
+    of the noise by which a picture of height and width ``hw`` differs from the usual one."""
+    if abs(seen.next_region.turn_rad) >= _UPRIGHT_RAD:
+        return 0.0
+    trust = (landmark_confidence(seen) - np.array([_PERSON_TRUST, _FURNITURE_TRUST])) / _TRUST_SIGMA
+    nats = float(trust[1] ** 2 - trust[0] ** 2) / 2
+    if moved is not None:
+        size = np.array(moved.shape[::-1])
+        place = np.floor(seen.keypoints[:, :2] * size / hw[::-1]).astype(int)
+        place = place[((place >= 0) & (place < size)).all(1)]
+        times = np.log(max(float(moved[place[:, 1], place[:, 0]].mean()), 1.0)) if len(place) else 0.0
+        moving, still = (norm.pdf(times, *about) for about in (_MOVING, _STILL))
+        person = (1 - _STILL_PEOPLE) * moving + _STILL_PEOPLE * still
+        nats += float(np.log(person / (_PASSED_FURNITURE * moving + (1 - _PASSED_FURNITURE) * still)))
+    return float(np.logaddexp(nats, 0.0))
 
 
 def rotate_picture(picture: Integer[np.ndarray, "H W 3"], turns: int) -> Integer[np.ndarray, "h w 3"]:
@@ -69,9 +96,3 @@ def film_from_turned(wh: tuple[int, int], turns: int) -> Float[np.ndarray, "2 3"
     linear = np.array([[c, -s], [s, c]], dtype=np.float64)
     middle = np.array(wh, dtype=np.float64) / 2
     return np.column_stack([linear, middle - linear @ (middle[::-1] if turns % 2 else middle)])
-
-
-def _upright(seen: Sequence[Sequence[Landmarks]]) -> float:
-    """How clearly people are seen upright in all pictures, summed."""
-    people = [one for picture in seen for one in picture]
-    return sum(landmark_confidence(one) for one in people if abs(one.next_region.turn_rad) < _UPRIGHT_RAD)

@@ -74,12 +74,7 @@ def measure_motion(
     frame: Sequence[int], pictures: Sequence[Integer[np.ndarray, "h w 3"]], wh: tuple[int, int]
 ) -> Motion:
     """Motion in ``pictures`` (``shrink_picture``) of the frames ``frame`` of a film of size ``wh``."""
-    stack = np.stack(pictures)
-    levels = np.stack([cv2.GaussianBlur(p, (3, 3), 0) for p in stack]).astype(np.float32)
-    apart = levels - np.median(levels, axis=0)
-    apart -= np.median(apart, axis=(1, 2), keepdims=True)  # removes exposure that follows the scene
-    apart = np.abs(apart).max(-1)
-    noise = SIGMA_OF_MAD * float(np.median(apart))
+    apart, noise = differences_from_usual(pictures)
     differs = (apart > max(_SIGMAS * noise, _MIN_LEVELS)).astype(np.uint8)
     near = [
         np.clip(1 - cv2.distanceTransform(1 - cv2.medianBlur(one, 3), cv2.DIST_L2, 3) / _REACH_PX, 0, 1)
@@ -88,6 +83,18 @@ def measure_motion(
         for one in differs
     ]
     return Motion(np.asarray(frame, dtype=np.int64), np.stack(near), wh)
+
+
+def differences_from_usual(
+    pictures: Sequence[Integer[np.ndarray, "h w 3"]],
+) -> tuple[Float[np.ndarray, "S h w"], float]:
+    """By how many grey levels each pixel differs from the median of ``pictures``, without exposure that follows the
+    scene, and the noise's deviation."""
+    levels = np.stack([cv2.GaussianBlur(p, (3, 3), 0) for p in pictures]).astype(np.float32)
+    apart = levels - np.median(levels, axis=0)
+    apart -= np.median(apart, axis=(1, 2), keepdims=True)
+    apart = np.abs(apart).max(-1)
+    return apart, SIGMA_OF_MAD * float(np.median(apart))
 
 
 def film_motion(source: FootageSource, first: int, last: int) -> Motion | None:
