@@ -142,7 +142,7 @@ export async function showPeople(place, name) {
       count && button("Run them again", tried(async () => { await post("start", { name, goal: "film" }); showProject(name); }), { className: "main", id: "again" })));
   }), { className: "main", id: "save" });
 
-  place.append(make("div", "", { className: "views" }, ...views.map((one) => one.place)),
+  place.append(make("div", "", { className: cameras.some(({ wh }) => wh[1] > wh[0]) ? "views tall" : "views" }, ...views.map((one) => one.place)),
     make("div", "", { className: "row" }, play, clock), slider, tools, lines,
     make("div", "", { className: "row" }, undo, save,
       make("a", "Pictures of every track", { href: `results/${path(name)}/people/review.html`, target: "_blank" })), jobs);

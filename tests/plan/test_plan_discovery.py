@@ -162,7 +162,7 @@ def test_both_files_of_a_calibration_are_found(made: Callable[..., Path], files:
     ],
 )
 def test_what_is_not_used_is_named_with_the_reason(made: Callable[..., Path], extra: str, words: str) -> None:
-    found = open_dataset(made(f"{FILMS} {extra} .DS_Store videos/Thumbs.db videos/._a.mp4"))
+    found = open_dataset(made(f"{FILMS} {extra} LICENSE readme.md .DS_Store videos/Thumbs.db videos/._a.mp4"))
     assert list(found.footage) == ["a", "b"]
     (note,) = found.notes
     assert note.startswith("not used: ")

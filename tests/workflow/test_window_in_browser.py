@@ -13,6 +13,7 @@ from pathlib import Path
 
 import pytest
 import yaml
+from studiorecon.cli.takes import write_rows
 from studiorecon.scene.people import read_identities, write_identities
 from studiorecon.window import app, runs
 
@@ -72,6 +73,32 @@ def test_dropped_films_are_shown_and_names_are_text(
         assert sorted(path.name for path in (made / "videos").iterdir()) == ["left.mp4", "right.mp4"]
 
 
+def test_takes_are_chosen_from_a_list_and_the_table_is_shown(
+    browser: Browser, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    started: list[list[str]] = []
+    monkeypatch.setattr(runs, "start_run", lambda goal, scene, command: started.append(command[3:]))
+    names = ["monday", "noon", "<b>odd"]
+    for name in names:
+        for number, camera in enumerate("ab"):
+            small_film(tmp_path / name / "videos" / f"{camera}.mp4", number)
+    write_rows([{"take": name, "result": result} for name, result in zip(names, ("done", "failed", "not run"))])
+    with served(app.build_app()) as server:
+        browser.open(server.address("#/takes"))
+        browser.wait("document.querySelectorAll('.take').length === 3", 60)
+        assert browser.run("document.getElementById('make').disabled"), "one take is no batch"
+        cells = browser.run("[...document.querySelectorAll('td')].map((one) => one.textContent)")
+        assert {*names, "done", "failed", "not run"} <= {*cells}
+        assert browser.run("document.documentElement.scrollWidth <= innerWidth")
+        browser.run("document.querySelectorAll('.take input').forEach((one, k) => k && one.click())")
+        browser.wait("!!document.querySelector('input[value=look]')", 120)
+        browser.run("document.querySelector('input[value=look]').click()")
+        click(browser, "Run these takes")
+        browser.wait("document.getElementById('message').textContent.includes('first take')")
+    assert started == [["run", "./monday", "./noon", "--preset", "look"]]
+
+
 @pytest.mark.slow
 def test_from_an_empty_folder_to_the_film_and_a_swap_is_corrected(
     browser: Browser, finished: House, tmp_path: Path
@@ -102,6 +129,16 @@ def test_from_an_empty_folder_to_the_film_and_a_swap_is_corrected(
         browser.open(address)
         browser.wait("!!document.querySelector('video[controls]')", 900)
         assert (home / "results/take/enhance/orbit.mp4").is_file()
+        # A path is flown in the player, and its film is shown as soon as it is there.
+        click(browser, "Fly")
+        player = "document.querySelector('iframe').contentWindow.player"
+        browser.wait(f"!!{player}?.addKey", 120)
+        for step_m in (0.0, 0.3):
+            browser.run(f"{player}.eye.letGo(), {player}.eye.eye[2] += {step_m}, {player}.changed()")
+            click(browser, "Add this view")
+        click(browser, "Film this path")
+        browser.wait("!!document.querySelector('video[controls][src*=flight]')", 600)
+        assert (home / "results/take/enhance/flight.mp4").is_file()
         click(browser, "People")
         browser.wait("document.querySelectorAll('.view canvas').length === 4", 60)
         place = browser.run(

@@ -15,6 +15,8 @@ from studiorecon.scene.capture_yaml import description_path
 from studiorecon.scene.dataset import PICTURE_SUFFIXES, Dataset
 from studiorecon.scene.names import fold_name, is_system_file
 
+# Texts that come with a capture and are for people.
+_FOR_READERS = re.compile(r"(licen[cs]e|readme)(\.(txt|md))?", re.IGNORECASE)
 _MAX_SENTENCES = 30
 _MAX_COUNTED = 1000
 _BY_SUFFIX: Mapping[str, str] = {
@@ -62,7 +64,7 @@ def unused_files(dataset: Dataset, place: Path, left_out: Iterable[str]) -> tupl
 
 def _left(folder: Path, used: set[Path], parents: set[Path]) -> Iterator[Path]:
     for path in sorted(folder.iterdir()):
-        if path in used or is_system_file(path):
+        if path in used or is_system_file(path) or _FOR_READERS.fullmatch(path.name):
             continue
         if path in parents and not path.is_symlink():
             yield from _left(path, used, parents)
