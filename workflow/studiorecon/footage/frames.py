@@ -19,7 +19,7 @@ from studiorecon.errors import UserError
 from studiorecon.footage.container import film_stream, open_container
 from studiorecon.footage.source import FootageSource
 from studiorecon.footage.stills import read_image
-from studiorecon.footage.timing import film_frames, shown_frames
+from studiorecon.footage.timing import DamagedFrameError, film_frames, shown_frames
 from studiorecon.machine.resource_errors import lacks_thread
 from studiorecon.progress import warn
 
@@ -120,16 +120,27 @@ def spread_frames(source: FootageSource, wanted: Sequence[int]) -> Iterator[Inte
 
 
 def _sought(source: FootageSource, wanted: Sequence[int]) -> Iterator[av.VideoFrame]:
-    """The frames numbered ``wanted`` (ascending) up to one that is damaged, or where a container does not seek."""
-    try:
-        with open_container(source.path) as container:
-            for frame in _frames_at(source, container, wanted):
-                if frame is None:
-                    return
-                yield frame
-    except (av.FFmpegError, IndexError) as error:
-        if lacks_thread(error):
-            raise
+    """The frames numbered ``wanted`` (ascending) up to one that is damaged, or where a container does not seek.
+
+    From a damaged frame on one thread decodes, as in ``film_frames``.
+    """
+    done = 0
+    for threads in ("AUTO", "SLICE"):
+        try:
+            with open_container(source.path) as container:
+                film_stream(container).thread_type = threads
+                for frame in _frames_at(source, container, wanted[done:], to_damage=threads == "AUTO"):
+                    if frame is None:
+                        return
+                    yield frame
+                    done += 1
+            return
+        except DamagedFrameError:
+            continue
+        except (av.FFmpegError, IndexError) as error:
+            if lacks_thread(error):
+                raise
+            return
 
 
 def small_grey(source: FootageSource, width: int, count: int) -> Iterator[Integer[np.ndarray, "h w"]]:
@@ -178,9 +189,12 @@ def _small(wh: tuple[int, int], shrink: float) -> tuple[int, int]:
 
 
 def _frames_at(
-    source: FootageSource, container: av.container.InputContainer, wanted: Sequence[int]
+    source: FootageSource, container: av.container.InputContainer, wanted: Sequence[int], to_damage: bool
 ) -> Iterator[av.VideoFrame | None]:
-    """The frames numbered ``wanted`` (ascending), by their times; None for one that seeking does not reach."""
+    """The frames numbered ``wanted`` (ascending), by their times; None for one that seeking does not reach.
+
+    ``to_damage``: as of ``shown_frames``.
+    """
     assert source.form is not None
     stream = film_stream(container)
     assert stream.time_base is not None
@@ -194,7 +208,7 @@ def _frames_at(
         half_s = 0.5 * min(np.diff(source.times_s[max(index - 1, 0) : index + 2]), default=1 / source.fps)
         if last is None or (index > before + 1 and _key_frame_between(stream, last.time, target_s)):
             container.seek(int(target_s / stream.time_base), stream=stream, backward=True)
-            shown = shown_frames(container, stream, needed=needed)
+            shown = shown_frames(container, stream, to_damage, needed)
             frames, last = source.form.without_fields(_of_one_size(source, shown)), None
         while last is None or last.time < target_s - half_s:
             following = next(frames, None)

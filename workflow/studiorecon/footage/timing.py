@@ -138,11 +138,11 @@ def film_frames(path: Path) -> Iterator[av.VideoFrame]:
                     yield frame
                     done += 1
                 return
-            except _DamagedError:
+            except DamagedFrameError:
                 continue
 
 
-class _DamagedError(Exception):
+class DamagedFrameError(Exception):
     """A frame could not be decoded."""
 
 
@@ -154,25 +154,26 @@ def shown_frames(
 ) -> Iterator[av.VideoFrame]:
     """The undamaged frames from the current position of ``container``.
 
-    ``to_damage``: raises _DamagedError for a damaged or lost frame, except for the first ones, whose reference is cut
-    off. ``needed``: time stamps of the frames that must be among them; others that no frame refers to are not decoded.
+    ``to_damage``: raises DamagedFrameError for a damaged or lost frame, except for the first ones, whose reference is
+    cut off. ``needed``: time stamps of the frames that must be among them; others that no frame refers to are skipped.
     """
     # In H.264 every frame states whether others refer to it; in HEVC it does so within its temporal layer only.
     skips = needed is not None and stream.codec_context.name == "h264"
     begun, missing = False, 0
     for packet in _readable(container, stream):
         if begun and to_damage and packet.is_corrupt:
-            raise _DamagedError
-        missing += bool(packet.size) and not packet.is_discard
+            raise DamagedFrameError
         if skips and needed is not None:
             stream.codec_context.skip_frame = "DEFAULT" if packet.pts in needed else "NONREF"
+        else:
+            missing += bool(packet.size) and not packet.is_discard
         try:
             frames = packet.decode()
         except av.FFmpegError as error:
             if lacks_thread(error):
                 raise
             if begun and to_damage:
-                raise _DamagedError from None
+                raise DamagedFrameError from None
             continue
         for frame in frames:
             assert isinstance(frame, av.VideoFrame)
@@ -180,10 +181,10 @@ def shown_frames(
                 begun = True
                 yield frame
             elif begun and to_damage:
-                raise _DamagedError
+                raise DamagedFrameError
         missing -= len(frames)
     if begun and to_damage and missing > 0:
-        raise _DamagedError
+        raise DamagedFrameError
 
 
 def _readable(container: av.container.InputContainer, stream: av.VideoStream) -> Iterator[av.Packet[av.VideoStream]]:
@@ -227,15 +228,9 @@ def _packets(path: Path) -> _Packets:
     return _Packets(ordered, order, hidden, whole and _ascending(ordered) and bool((np.diff(known) > 0).all()))
 
 
-def _decoded(path: Path, from_s: float | None = None, most: int | None = None) -> _Decoded:
-    """At most ``most`` undamaged frames from the key frame before ``from_s`` (None: the first) on, of one size."""
-    if from_s is None:
-        return _timed(islice(film_frames(path), most))
-    with open_container(path) as container:
-        stream = film_stream(container)
-        if stream.time_base is not None:
-            container.seek(int(from_s / stream.time_base), stream=stream, backward=True)
-        return _timed(islice(shown_frames(container, stream), most))
+def _decoded(path: Path, most: int | None = None) -> _Decoded:
+    """The first ``most`` undamaged frames (None: all), of one size."""
+    return _timed(islice(film_frames(path), most))
 
 
 def _timed(frames: Iterator[av.VideoFrame]) -> _Decoded:
@@ -255,7 +250,12 @@ def _promised(head: _Decoded, times_s: np.ndarray, most: int) -> bool:
 
 def _ends(path: Path, times_s: np.ndarray) -> bool:
     """Whether decoding from the last key frame on ends as the packets state."""
-    tail = _decoded(path, from_s=times_s[-1]).times_s
+    with open_container(path) as container:
+        stream, needed = film_stream(container), None
+        if (base := stream.time_base) is not None:
+            container.seek(int(times_s[-1] / base), stream=stream, backward=True)
+            needed = {round(time_s / base) for time_s in times_s[-_HEAD_FRAMES:].tolist()}
+        tail = _timed(shown_frames(container, stream, needed=needed)).times_s[-_HEAD_FRAMES:]
     return len(tail) > 0 and np.array_equal(tail, times_s[-len(tail) :])
 
 
