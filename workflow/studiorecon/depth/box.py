@@ -13,8 +13,9 @@ import numpy as np
 
 from studiorecon.camera_files.colmap import read_model
 from studiorecon.depth.layout import box as room
-from studiorecon.depth.layout import ground_contacts
+from studiorecon.depth.layout.ground_contacts import find_ground_contacts
 from studiorecon.depth.layout.platform import RaisedFloor, fit_platform
+from studiorecon.depth.layout.unseen_walls import find_floor_ends, place_unseen_walls
 from studiorecon.depth.layout.votes import Votes, read_sweeps
 from studiorecon.depth.stereo.plates import Picture, equalise_exposure, read_pictures
 from studiorecon.depth.sweep_settings import FirstLook, Matching
@@ -25,6 +26,7 @@ from studiorecon.signature import Written
 
 _PLACING_SPAN_M, _PLACING_STEP_M = 0.08, 0.01
 _VOTER_REACH_M = 0.15
+_FLOOR_REACH_M = 0.06
 # A wall whose yaw is off by some angle votes, over this length on either side, for offsets that differ by this much
 # times sin(angle).
 _HALF_WALL_M = 4.0
@@ -44,8 +46,8 @@ class Settings(Matching, FirstLook):
 def fit_room_box(pictures: list[Picture], votes: Votes, yaw_rad: float, floor_m: float, settings: Settings) -> RoomBox:
     """The box of the most voted walls around all cameras; faces that too few pixels voted for are defaults.
 
-    A default wall is ``far_m`` beyond the cameras, the default ceiling at ``ceiling_default_m`` above the floor (at
-    least a metre above the highest camera): an open place has no walls, which ``fitted`` records.
+    A default wall is ``far_m`` beyond the cameras until ``place_unseen_walls``, the default ceiling at
+    ``ceiling_default_m`` above the floor (at least a metre above the highest camera).
     """
     how, placing = _matching(settings), (_PLACING_SPAN_M, _PLACING_STEP_M)
     count = votes.count()
@@ -89,7 +91,7 @@ def fit_room_box(pictures: list[Picture], votes: Votes, yaw_rad: float, floor_m:
             offset, score[face] = room.place_plane(pictures, voters, axes[axis], begin, *placing, how)
             fitted[face] = True
         (low, high)[face % 2][axis] = offset
-    voters = votes.voters(axes[2], floor_m, 0.06)
+    voters = votes.voters(axes[2], floor_m, _FLOOR_REACH_M)
     low[2], score[4] = room.place_plane(pictures, voters, axes[2], floor_m, 0.05, _PLACING_STEP_M, how)
     fitted[4] = sum(int(v.sum()) for v in voters) >= least
     high[2] = max(low[2] + settings.ceiling_default_m, centres[:, 2].max() + 1.0)
@@ -112,17 +114,16 @@ def run(settings: Settings, model: Path, plates: list[Path], sweeps: list[Path],
     raised = fit_platform(pictures, fitted.axes, float(fitted.low_m[2]), _matching(settings))
     if raised is not None:
         fitted = _on_lower_floor(fitted, raised, pictures, settings)
-    feet = ground_contacts.find_ground_contacts(
-        cameras, [make_room_picture(plate) for plate in plates], float(fitted.low_m[2])
-    )
-    fitted, uprights_at = ground_contacts.place_default_walls(fitted, feet, cameras)
+    feet = find_ground_contacts(cameras, [make_room_picture(plate) for plate in plates], float(fitted.low_m[2]))
+    floor_ends = find_floor_ends(pictures, swept.votes, swept.floor_m, _FLOOR_REACH_M)
+    fitted, interval_m = place_unseen_walls(fitted, feet, floor_ends, cameras, settings.far_m)
     for index, (name, face) in enumerate(zip(FACES, fitted.faces)):
         if fitted.fitted[index]:
             why = f" (correlation {fitted.score[index]:.2f})"
-        elif uprights_at.get(index) == 0:
-            why = ": a default, as far behind the cameras as the measured walls at most"
-        elif index in uprights_at:
-            why = f": no photo matches, but {uprights_at[index]} upright edges end on the floor in front of it"
+        elif index < len(interval_m):
+            why = ": a default ({:.1f} to {:.1f} m by upright edges, visible floor and usual rooms)".format(
+                *interval_m[index]
+            )
         else:
             why = ": a default, because the photos show no such surface"
         say(f"{name} at {face[3]:.3f} m{why}")

@@ -29,7 +29,7 @@ class Matching(NearLimit):
 
     far_m: float = setting(
         14.0,
-        "Maximum z-depth of a surface; distance of default walls in open places.",
+        "Maximum z-depth of a surface; default walls are no further behind the cameras.",
         unit="m",
         above=0,
     )
