@@ -10,7 +10,7 @@ import cv2
 import numpy as np
 import pytest
 from studiorecon.depth.layout.ground_contacts import GroundContacts, find_ground_contacts
-from studiorecon.depth.layout.unseen_walls import FloorEnds, find_floor_ends, place_unseen_walls
+from studiorecon.depth.layout.unseen_walls import FloorEnds, enclose_people, find_floor_ends, place_unseen_walls
 from studiorecon.depth.layout.votes import Votes
 from studiorecon.depth.stereo.plates import Picture
 from studiorecon.geometry.camera_path import scene_centre
@@ -158,3 +158,16 @@ def placed_from(cameras: Sequence[Camera]) -> float:
     """Offset along v from which a margin counts: no camera is on that side, so people's space decides."""
     centres_m, middle_m = np.stack([c.centre_m[:2] for c in cameras]), scene_centre(cameras)[:2]
     return float(middle_m @ axes()[1, :2] + 0.5 * np.linalg.norm(centres_m - middle_m, axis=1).mean())
+
+
+def test_people_are_inside_the_walls_that_nothing_measured() -> None:
+    box, _ = placed(CAMERAS, blank(CAMERAS))
+    person = np.array([[0.0, 9.0, 1.0], [0.0, 0.0, 1.0]]) @ axes()
+    wider = enclose_people(box, person)
+    assert wider.contains(person).all()
+    assert not box.contains(person).all()
+    np.testing.assert_array_equal(wider.low_m, box.low_m)
+    np.testing.assert_array_equal(wider.high_m[[0, 2]], box.high_m[[0, 2]])
+    measured = replace(box, fitted=np.ones(6, bool))
+    np.testing.assert_array_equal(enclose_people(measured, person).high_m, box.high_m)
+    np.testing.assert_array_equal(enclose_people(box, np.zeros((0, 3))).high_m, box.high_m)

@@ -18,6 +18,7 @@ from studiorecon.configuration.setting import setting
 from studiorecon.depth.layout.primitive_fitting import fit_primitives
 from studiorecon.depth.layout.primitives import Primitive, depth_with_primitives, write_primitives
 from studiorecon.depth.layout.primitives_picture import overview_sheet
+from studiorecon.depth.layout.unseen_walls import enclose_people
 from studiorecon.depth.layout.visibility import joint_places
 from studiorecon.depth.layout.votes import read_sweeps
 from studiorecon.depth.stereo.plates import equalise_exposure, read_pictures, surface_gains
@@ -57,7 +58,7 @@ def run(
 ) -> None:
     """Fit furniture in the room ``box``, and make the cameras' exposures agree.
 
-    ``fits`` are bodies of people, whose paths furniture may not block.
+    ``fits`` are bodies of people, whose paths furniture may not block, and behind whom unseen walls are.
     """
     cameras = read_model(model.parent)
     swept, fitted = read_sweeps(sweeps, len(cameras)), read_room(box)
@@ -66,6 +67,7 @@ def run(
     if settings.primitives and len(cameras) > 1:
         small = equalise_exposure(read_pictures(cameras, plates, settings.primitives_width), swept.gains)
         free_m = joint_places([read_person(path) for path in fits])
+        fitted = enclose_people(fitted, free_m[:, :3])
         say(f"{len(free_m)} places of {len(fits)} people are kept free of furniture")
         furniture = fit_primitives(
             small,

@@ -30,7 +30,7 @@ if TYPE_CHECKING:
 _MARGIN_M = 1.5
 _ROOMS_SIGMA = 0.7
 _WALLS_SIGMA = 0.6
-# Tripod and operator need this space behind a camera.
+# A camera on its tripod, or a person, is at least so far from a wall.
 _MIN_MARGIN_M = 0.3
 # On a side without cameras, people use this share of the cameras' distance from the middle.
 _PEOPLE_SHARE = 0.5
@@ -110,6 +110,18 @@ def place_unseen_walls(
         placed[face], interval_m[face] = outwards[face, 0] * median, np.sort(outwards[face, 0] * np.array([low, high]))
     low_m, high_m = np.array([*placed[::2], box.low_m[2]]), np.array([*placed[1::2], box.high_m[2]])
     return replace(box, low_m=low_m, high_m=high_m), interval_m
+
+
+def enclose_people(box: RoomBox, places_m: Float[np.ndarray, "M 3"]) -> RoomBox:
+    """The box with its default walls behind every place of a person."""
+    inside_m = places_m @ box.axes.T
+    low_m, high_m = box.low_m.copy(), box.high_m.copy()
+    for axis in range(2) if len(places_m) else ():
+        if not box.fitted[2 * axis]:
+            low_m[axis] = min(low_m[axis], inside_m[:, axis].min() - _MIN_MARGIN_M)
+        if not box.fitted[2 * axis + 1]:
+            high_m[axis] = max(high_m[axis], inside_m[:, axis].max() + _MIN_MARGIN_M)
+    return replace(box, low_m=low_m, high_m=high_m)
 
 
 def _known(margins_m: Float[np.ndarray, " M"], margin_m: float) -> Float[np.ndarray, " M"]:
