@@ -44,6 +44,7 @@ def test_a_person_is_trained_with_the_kernels_that_were_compiled_ahead(
 
 def test_on_a_gpu_its_kernels_are_the_ones_compiled_ahead(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
     places = []
+    monkeypatch.setenv("MAX_JOBS", "1")
     monkeypatch.setattr(kernels, "resolve", lambda setting, what: setting)
     monkeypatch.setattr(kernels, "train_still", lambda *_, device, **__: places.append(device))
     monkeypatch.setattr(kernels, "_as_a_person", lambda threads: places.append("a person's"))

@@ -88,7 +88,9 @@ class House:
         own = {"OMP_NUM_THREADS", "NUMBA_NUM_THREADS", "OPENCV_FOR_THREADS_NUM"}
         users = {name: value for name, value in os.environ.items() if name not in own}
         watched = {"STUDIORECON_WITNESS": str(self.witness)} if self.witness else {}
-        path = os.pathsep.join([str(self.folder / "workflow"), *([str(WITNESS)] if watched else [])])
+        # A user's own places stay, behind the house's package: tests/gpu/run.sh has wheels there.
+        places = [str(self.folder / "workflow"), *([str(WITNESS)] if watched else []), os.environ.get("PYTHONPATH", "")]
+        path = os.pathsep.join(filter(None, places))
         return {**users, **watched, "PYTHONPATH": path, "PATH": os.pathsep.join(binaries)}
 
     def plan(self, *arguments: str) -> dict[str, int]:

@@ -21,9 +21,9 @@ rule background_kernels:
     priority: 1
     container:
         image(PLAN.networks.rasteriser_image)
-    threads: 1
+    threads: 8 if PLAN.networks.rasteriser_gpus else 1  # gsplat has 29 sources for nvcc
     resources:
-        mem_mb=memory(1500),
+        mem_mb=memory(drawn_mb(PLAN, 1500, compilers=8)),
         gpu=PLAN.networks.rasteriser_gpus,
     params:
         code=code("background.kernels"),

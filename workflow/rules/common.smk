@@ -20,7 +20,7 @@ from studiorecon.plan import step_config
 from studiorecon.plan.command import command
 from studiorecon.plan.dataset import resolve_path
 from studiorecon.plan.dates import refuse_future
-from studiorecon.plan.memory import fit_mb, memory, room_mb
+from studiorecon.plan.memory import drawn_mb, fit_mb, memory, room_mb
 from studiorecon.plan.decisions import camera_pattern
 from studiorecon.plan.rule_files import Files
 from studiorecon.plan.make import make_plan

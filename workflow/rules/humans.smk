@@ -31,7 +31,7 @@ rule humans_train:
         image(PLAN.networks.rasteriser_image)
     threads: 1
     resources:
-        mem_mb=memory(3000),
+        mem_mb=memory(drawn_mb(PLAN, 3000)),
         gpu=PLAN.networks.rasteriser_gpus,
     params:
         settings=settings("humans.train"),

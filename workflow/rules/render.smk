@@ -57,7 +57,7 @@ rule render_shot:
         image(PLAN.networks.rasteriser_image)
     threads: threads_beside(len(PLAN.shots))
     resources:
-        mem_mb=memory(2000),
+        mem_mb=memory(drawn_mb(PLAN, 2000)),
         gpu=PLAN.networks.rasteriser_gpus,
     params:
         settings=shot_settings("render.shot"),
@@ -86,7 +86,7 @@ rule render_layers:
         image(PLAN.networks.rasteriser_image)
     threads: 2
     resources:
-        mem_mb=memory(2000),
+        mem_mb=memory(drawn_mb(PLAN, 2000)),
         gpu=PLAN.networks.rasteriser_gpus,
     params:
         settings=shot_settings("render.layers", "replace"),

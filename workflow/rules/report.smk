@@ -92,7 +92,7 @@ rule report_evaluate:
         image(PLAN.networks.rasteriser_image)
     threads: 1  # of two, all but LPIPS would leave one idle
     resources:
-        mem_mb=memory(1500),
+        mem_mb=memory(drawn_mb(PLAN, 1500)),
         gpu=PLAN.networks.rasteriser_gpus if PLAN.networks.lpips("report") != "none" else 0,
     params:
         settings=settings("report.evaluate"),

@@ -8,6 +8,8 @@ and changes nothing.
 
 from __future__ import annotations
 
+import os
+
 import numpy as np
 
 from studiorecon.body.avatar.control_points import ControlPoints
@@ -32,6 +34,9 @@ _NEAR_M = 0.1
 def run(threads: int, device: str, kernels: Written) -> None:
     """Train a handful of Gaussians for two steps, as a room and as a person; write ``kernels`` when done."""
     place = resolve(device, "kernels are compiled")
+    if place == "cuda":
+        # torch would start a compiler per core of the machine, whatever the job has.
+        os.environ.setdefault("MAX_JOBS", str(threads))
     _as_a_room(threads, place)
     # On a GPU people are drawn by the room's kernels, and the rest of their training is torch's.
     if place == "cpu":

@@ -12,6 +12,10 @@ ROOM_MB = 3000
 """A training of the room beside its targets: Gaussians, gradients, moments, LPIPS on the CPU (the demo: 790 MB)."""
 FILMED_PX = 1920
 """Width of pictures where ``capture.width`` is 0: a plan opens no film."""
+_CUDA_MB = 2000
+"""Main memory of torch, CUDA and gsplat beside a job's arrays: estimated; ``tests/gpu/run.sh --paper`` compares it."""
+_COMPILER_MB = 1000
+"""One nvcc on one of gsplat's sources: estimated likewise."""
 _FIT_MB = 1000
 """A fit on surface points; the demo's takes 160 MB."""
 _FIT_ALL_VERTICES_MB = 2000
@@ -30,6 +34,11 @@ def room_mb(plan: Plan, config: Mapping[str, Any]) -> int:
     targets = len(plan.training) + views + config["background"]["refinement"]["views"]
     # 16 bytes a pixel: three colours and a weight. Taller films than 16:9 have the doubled memory of a second attempt.
     return ROOM_MB + round(targets * 16 * (9 / 16) * width**2 / 1e6)
+
+
+def drawn_mb(plan: Plan, mb: int, compilers: int = 0) -> int:
+    """``mb``, and on a GPU what torch takes there, beside ``compilers`` of gsplat's kernels."""
+    return mb + (_CUDA_MB + compilers * _COMPILER_MB) * plan.networks.rasteriser_gpus
 
 
 def fit_mb(config: Mapping[str, Any]) -> int:
