@@ -120,6 +120,10 @@ def test_cameras_are_estimated_once_and_the_others_read_them(house: Path) -> Non
     assert yaml.safe_load(Path(own.removeprefix("capture_yaml=")).read_text())["frames"] == {"first": 2}
     assert "those of long" in note
     assert takes.rig_again(long) == ([], "")
+    Path("results/long/rig.toml").unlink()
+    settings, note = takes.rig_again(short)
+    assert not settings
+    assert "gone" in note
     assert "videos" in rows["broken"]["notes"]
     assert rows["long"]["frames"] == "4"
 

@@ -187,6 +187,8 @@ def rig_again(folder: Path) -> tuple[list[str], str]:
     if not own.is_file():
         return [], ""
     rig = folder.resolve() / yaml.safe_load(own.read_text(encoding="utf-8"))["calibration"]
+    if not rig.is_file():
+        return [], f"the cameras of {rig.parent.name}, which it used, are gone; it finds its own"
     settings, _ = rig_settings(Take(folder, open_dataset(folder)), rig)
     return settings, f"its cameras are those of {rig.parent.name}; remove {own} to find its own"
 
