@@ -11,6 +11,7 @@ from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
 import numpy as np
+from scipy.optimize import least_squares
 
 from studiorecon.geometry.bundle import BundleSettings, move_camera
 from studiorecon.geometry.relative_pose import resection
@@ -34,7 +35,6 @@ if TYPE_CHECKING:
 _MIN_POINTS = 60
 _MIN_HALF = 20
 _MAX_UNITS = 3.0
-_STEP = 1e-6
 # RANSAC's threshold, in error units, wide because the pose is refined afterwards.
 _LOOSE = 3.0
 
@@ -161,7 +161,7 @@ def _validation_error(
 
 
 def _fit_pose(start: Camera, given: Camera, seen: ObservedJoints, unit: float, rung: BundleSettings) -> Camera:
-    """The pose of least Huber cost under the prior of ``rung``, by Gauss-Newton.
+    """The pose of least Huber cost under the prior of ``rung``.
 
     All frames of a joint count as one observation, as everywhere in ``rig``.
     """
@@ -170,20 +170,17 @@ def _fit_pose(start: Camera, given: Camera, seen: ObservedJoints, unit: float, r
     sigma = np.concatenate([np.full(3, np.radians(rung.prior_deg)), np.full(3, rung.prior_m)])
     rotation, centre = start.camera_from_world[:3, :3], start.centre_m
 
-    def residuals(x: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        turned, at = exp(x[:3]) @ rotation, centre + x[3:]
-        prior = np.concatenate([log(turned @ given.camera_from_world[:3, :3].T), at - given.centre_m]) / sigma
-        return _units(move_camera(given, turned, at), seen, unit), prior
+    def moved(step: np.ndarray) -> Camera:
+        return move_camera(given, exp(step[:3]) @ rotation, centre + step[3:])
 
-    for _ in range(15):
-        off, prior = residuals(np.zeros(6))
-        robust = np.sqrt(weight / np.maximum(np.linalg.norm(off, axis=-1), 1.0))
-        columns = [residuals(_STEP * axis) for axis in np.eye(6)]
-        jacobian = np.column_stack(
-            [np.concatenate([(robust[:, None] * (a - off)).ravel(), b - prior]) / _STEP for a, b in columns]
-        )
-        step = -np.linalg.lstsq(jacobian, np.concatenate([(robust[:, None] * off).ravel(), prior]), rcond=None)[0]
-        rotation, centre = exp(step[:3]) @ rotation, centre + step[3:]
-        if np.abs(step).max() < 1e-7:
-            break
-    return move_camera(given, rotation, centre)
+    def residuals(step: np.ndarray) -> np.ndarray:
+        camera = moved(step)
+        turned = log(camera.camera_from_world[:3, :3] @ given.camera_from_world[:3, :3].T)
+        prior = np.concatenate([turned, camera.centre_m - given.centre_m]) / sigma
+        off = _units(camera, seen, unit)
+        # Squares of these are Huber costs of the two-dimensional errors.
+        error = np.maximum(np.linalg.norm(off, axis=-1), 1.0)
+        robust = np.sqrt(weight * (2 * error - 1)) / error
+        return np.concatenate([(robust[:, None] * off).ravel(), prior])
+
+    return moved(least_squares(residuals, np.zeros(6), x_scale=sigma).x)

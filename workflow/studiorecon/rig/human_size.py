@@ -29,7 +29,7 @@ ADULTS_M = 1.3, 2.2
 MIN_BONES = 30
 """Number of bones that a median needs."""
 # Number of each unit in a metre.
-_TAKEN_FOR_METRES = {"millimetres": 1000.0, "centimetres": 100.0, "inches": 39.3701, "feet": 3.28084}
+UNITS_PER_METRE = {"millimetres": 1000.0, "centimetres": 100.0, "inches": 39.3701, "feet": 3.28084}
 
 
 def statures_m(cameras: Sequence[Camera], seen: Observations, limits: Limits) -> Num[np.ndarray, " N"]:
@@ -70,7 +70,7 @@ def check_units(
     limits: Limits,
 ) -> None:
     """Raise UserError if nothing agrees, but cameras in another unit see people of human size."""
-    for factor in _TAKEN_FOR_METRES.values():
+    for factor in UNITS_PER_METRE.values():
         smaller = [scale_camera(c, 1 / factor) for c in cameras]
         found_m = statures_m(smaller, make_observations(detections, smaller, frames, gate_m)[0], limits)
         if len(found_m) >= MIN_BONES and ADULTS_M[0] <= (stature_m := float(np.median(found_m))) <= ADULTS_M[1]:
@@ -79,7 +79,7 @@ def check_units(
 
 def _refusal(stature_m: float) -> str:
     cause, factor = "", _ADULT_M / stature_m
-    for unit, per_metre in _TAKEN_FOR_METRES.items():
+    for unit, per_metre in UNITS_PER_METRE.items():
         if ADULTS_M[0] <= stature_m / per_metre <= ADULTS_M[1]:
             cause, factor = f" but, it seems, {unit};", 1 / per_metre
         elif ADULTS_M[0] <= stature_m * per_metre <= ADULTS_M[1]:

@@ -181,11 +181,10 @@ def check_conventions(
 
     Raises UserError when another reading clearly beats the one in use.
     """
-    table: list[dict[str, Any]] = []
-    for name, change in POSE_READINGS.items():
-        table.append(
-            {"hypothesis": name, "score": _score([_read(c, change) for c in cameras], detections, frames, gate_m)}
-        )
+    table = [
+        {"hypothesis": name, "score": _score([_read(c, change) for c in cameras], detections, frames, gate_m)}
+        for name, change in POSE_READINGS.items()
+    ]
     best = max(table, key=lambda row: row["score"])
     if best["hypothesis"] != "as read" and best["score"] > 0.3 and best["score"] > _CLEARLY * table[0]["score"]:
         raise UserError(

@@ -20,6 +20,7 @@ from studiorecon.keypoints.correspondence import STABLE_KEYPOINTS, stable_detect
 from studiorecon.progress import warn
 from studiorecon.rig.bundle import contradicted_share
 from studiorecon.rig.correspondences import Observations, make_observations
+from studiorecon.rig.human_size import UNITS_PER_METRE
 from studiorecon.rig.hypotheses import POSE_READINGS, scaled_pose
 from studiorecon.scene.camera import Camera
 from studiorecon.scene.people import Detections
@@ -50,7 +51,6 @@ _MAX_TURNED_DEG = 45.0
 _COUNT = len(STABLE_KEYPOINTS)
 _OTHER_SIDE = np.arange(_COUNT).reshape(-1, 2)[:, ::-1].reshape(-1)
 _FOCAL = np.geomspace(1 / 40, 40, 75)
-_UNITS = {"centimetres": 0.01, "millimetres": 0.001, "inches": 0.0254, "feet": 0.3048}
 _CONVENTIONS = {
     "were world-from-camera": "poses are world-from-camera",
     "had OpenGL's axes": "axes are OpenGL's",
@@ -261,9 +261,9 @@ def _calibration_readings(camera: Camera, seen: np.ndarray) -> Iterator[_Reading
     """The same, with another lens or pose in the calibration."""
     given = camera.camera_from_world
     poses = {cause: POSE_READINGS[reading](given) for cause, reading in _CONVENTIONS.items()}
-    for unit, metres in _UNITS.items():
-        poses[f"were in {unit}"] = scaled_pose(given, metres)
-        poses[f"were in metres, not {unit}"] = scaled_pose(given, 1 / metres)
+    for unit, per_metre in UNITS_PER_METRE.items():
+        poses[f"were in {unit}"] = scaled_pose(given, 1 / per_metre)
+        poses[f"were in metres, not {unit}"] = scaled_pose(given, per_metre)
     for cause, pose in poses.items():
         there = replace(camera, camera_from_world=pose)
         yield _Reading(f"its pose in the calibration {cause}", "correct it there", there, seen)
