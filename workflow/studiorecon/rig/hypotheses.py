@@ -181,7 +181,7 @@ def check_conventions(
 
     Raises UserError when another reading clearly beats the one in use.
     """
-    table = [
+    table: list[dict[str, Any]] = [
         {"hypothesis": name, "score": _score([_read(c, change) for c in cameras], detections, frames, gate_m)}
         for name, change in POSE_READINGS.items()
     ]
