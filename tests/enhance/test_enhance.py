@@ -117,9 +117,9 @@ def test_segments_made_beside_one_another_are_the_bytes_of_one_job(
 @pytest.mark.parametrize(
     ("change", "words"),
     [
-        (lambda film: film[:-1], r"heldout\.mkv has \d+ pictures and .*heldout\.mkv has \d+; enhance every picture"),
-        (lambda film: np.concatenate([film, film[:1]]), r"has \d+ pictures and .* has \d+; enhance every picture"),
-        (lambda film: film[:, :, :-2], r"is \d+×\d+ and .*heldout\.mkv \d+×\d+; enhance the current render"),
+        (lambda film: film[:-1], r"heldout\.mkv .*it has \d+ pictures and .*heldout\.mkv \d+"),
+        (lambda film: np.concatenate([film, film[:1]]), r"it has \d+ pictures and .*heldout\.mkv \d+"),
+        (lambda film: film[:, :, :-2], r"it has another size than .*heldout\.mkv"),
     ],
     ids=["short", "long", "narrow"],
 )
@@ -137,7 +137,7 @@ def test_a_film_of_another_length_or_size_is_refused(
 def test_training_renders_of_other_cameras_are_refused(scene: Path, settings: enhance_shot.Settings) -> None:
     options = enhance_options(scene, "heldout", ring([0, 90, 180, 270], "cam"))
     film, _, depth = options["train"]
-    with pytest.raises(UserError, match="render the shot train again"):
+    with pytest.raises(UserError, match=r"of each training camera.*delete it"):
         call(enhance_shot.run, settings, **{**options, "train": [film, scene / "render/heldout.json", depth]})
 
 

@@ -49,7 +49,7 @@ def test_what_upstream_gets_wrong_is_a_sentence(tmp_path: Path) -> None:
     planted = slots([1])
     with pytest.raises(UserError, match="as pose, expected"):
         postprocess({**planted, "pose": planted["pose"].reshape(1, 24, 3)}, np.empty((0, JOINTS, 2)), np.empty(0))
-    with pytest.raises(UserError, match="hold nothing as trans"):
+    with pytest.raises(UserError, match="returned nothing as trans"):
         postprocess({k: v for k, v in planted.items() if k != "trans"}, np.empty((0, JOINTS, 2)), np.empty(0))
     with pytest.raises(UserError, match="1 values of betas that are no numbers"):
         postprocess(

@@ -106,7 +106,7 @@ def test_fixers_letterbox_is_undone(hw: tuple[int, int]) -> None:
 def test_what_an_enhancer_gets_wrong_is_a_sentence() -> None:
     image = picture((16, 24))
     tensor, _ = preprocess(image, image)
-    with pytest.raises(UserError, match="returned shape"):
+    with pytest.raises(UserError, match="returned a picture of"):
         postprocess(tensor[:, :, :8], image)
     broken = tensor.copy()
     broken[0, 0, 0, 0] = np.nan

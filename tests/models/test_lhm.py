@@ -102,7 +102,7 @@ def test_the_program_is_run_where_it_lives_and_its_silence_is_a_sentence(tmp_pat
     )
     copy = f"shutil.copy({str(tmp_path / 'made.ply')!r}, {str(out / 'person.ply')!r})"
     assert result_file([sys.executable, "-c", script + copy], tmp_path, out) == out / "person.ply"
-    with pytest.raises(UserError, match=r"status 0: body ratio is too small\); choose another frame"):
+    with pytest.raises(UserError, match=r"status 0: body ratio is too small\); give it another photo"):
         result_file([sys.executable, "-c", "print('body ratio is too small')"], tmp_path, tmp_path / "none")
     command = command_for(Path("p.png"), Path("o"))
     assert command[1:4] == ["-m", "LHM.launch", "infer.human_lrm"]

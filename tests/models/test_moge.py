@@ -26,7 +26,7 @@ def test_infinite_depth_becomes_unknown() -> None:
     [
         (np.full((3, 4), np.inf), "sees no surface"),
         (np.full((3, 4), np.nan), "12 depths that are no numbers"),
-        (np.ones((1, 3, 4)), "pin"),
+        (np.ones((1, 3, 4)), "adapter follows another version"),
     ],
 )
 def test_nothing_or_nonsense_is_a_sentence(depth: np.ndarray, sentence: str) -> None:

@@ -15,6 +15,8 @@ from studiorecon.errors import UserError
 from studiorecon.models.adapters import pi3
 from studiorecon.models.adapters.pi3 import (
     MULTIPLE_PX,
+    PI3,
+    PI3X,
     Inset,
     depth_edges,
     fit_focal,
@@ -68,7 +70,7 @@ def test_cameras_depth_and_focal_lengths_come_back_up_to_one_scale(scale: float)
         poses,
         [Inset(0, 0, WH[1], WH[0])] * 4,
         [c.name for c in cameras],
-        False,
+        PI3,
     )
     np.testing.assert_allclose(found.cameras[0].camera_from_world, np.eye(4), atol=1e-6)
     for true, own, depth, seen, residual in zip(cameras, found.cameras, depths, found.depths, found.focal_residuals_px):
@@ -130,7 +132,7 @@ def test_portrait_beside_landscape_keeps_both_focal_lengths() -> None:
     smooth = 3 + 0.2 * np.sin(u / 40 + rng.random()) * np.cos(v / 50)
     points = np.repeat((rays * smooth[..., None])[None], 2, axis=0).astype(np.float32)
     poses, sure = np.repeat(np.eye(4)[None], 2, axis=0), np.full((2, height, width), 0.9, np.float32)
-    found = postprocess(points, sure, poses, taken, ["a", "b"], False)
+    found = postprocess(points, sure, poses, taken, ["a", "b"], PI3)
     for camera, residual_px in zip(found.cameras, found.focal_residuals_px):
         assert camera.focal_px[0] == pytest.approx(true_px, rel=0.01)
         assert residual_px < 1
@@ -155,14 +157,14 @@ def test_what_cannot_be_is_refused() -> None:
     mirrored = poses.copy()
     mirrored[2, :3, 0] *= -1
     with pytest.raises(UserError, match="no rotation"):
-        postprocess(points, sure, mirrored, taken, names, False)
+        postprocess(points, sure, mirrored, taken, names, PI3)
     doubtful = sure.copy()
     doubtful[1] = 0.05
     with pytest.raises(UserError, match=r"sure of 0 pixels of camera cam2.*train: \["):
-        postprocess(points, doubtful, poses, taken, names, False)
+        postprocess(points, doubtful, poses, taken, names, PI3)
     behind = points * np.array([1, 1, -1], np.float32)
     with pytest.raises(UserError, match="sure of 0 pixels of camera cam1"):
-        postprocess(behind, sure, poses, taken, names, False)
+        postprocess(behind, sure, poses, taken, names, PI3)
 
 
 def test_the_call_hands_on_points_probabilities_and_poses() -> None:
@@ -239,13 +241,13 @@ def test_upstreams_network_with_random_weights_keeps_its_contract(
             reported = adapter._network(torch.from_numpy(pictures)[None])
         world = np.einsum("nij,nhwj->nhwi", poses[:, :3, :3], points) + poses[:, None, None, :3, 3]
         np.testing.assert_allclose(world, reported["points"][0].numpy(), rtol=1e-3, atol=1e-3)
-        found = postprocess(points, np.ones_like(sure), poses, [Inset(0, 0, 56, 70)] * 3, ["a", "b", "c"], True)
+        found = postprocess(points, np.ones_like(sure), poses, [Inset(0, 0, 56, 70)] * 3, ["a", "b", "c"], PI3X)
         np.testing.assert_allclose(found.cameras[0].camera_from_world, np.eye(4), atol=1e-6)
         assert all(camera.wh == (70, 56) for camera in found.cameras)
         return
     # A network that has learnt nothing sees edges everywhere, and is not believed.
     with pytest.raises(UserError, match="the network is sure of"):
-        postprocess(points, np.ones_like(sure), poses, [Inset(0, 0, 56, 70)] * 3, ["a", "b", "c"], False)
+        postprocess(points, np.ones_like(sure), poses, [Inset(0, 0, 56, 70)] * 3, ["a", "b", "c"], PI3)
 
 
 @pytest.mark.parametrize("lacks", ["", "decoder.weight"])
@@ -276,5 +278,5 @@ def test_pi3x_needs_every_entry_but_those_of_what_is_not_given(
         assert not hasattr(load("pose and depth", "pi3x", tmp_path, "cpu")._network, "ray_embed")
         return
     # Naive, strict=False: a file of another network loads, and the rest stays random.
-    with pytest.raises(UserError, match=r"pi3x/model\.safetensors does not fit Pi3X"):
+    with pytest.raises(UserError, match=r"pi3x/model\.safetensors are no weights of Pi3X"):
         load("pose and depth", "pi3x", tmp_path, "cpu")

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 from studiorecon.errors import UserError
-from studiorecon.models.catalogue.preflight import arrays_only, attribute, import_upstream, staged_weights, torch_device
+from studiorecon.models.catalogue.preflight import attribute, import_upstream, loading, staged_weights, torch_device
 from studiorecon.models.catalogue.registry import MODELS, cards_of_kind, find_card
 
 
@@ -73,14 +73,14 @@ def test_a_missing_package_names_image_and_pins_and_another_version_its_commit()
 
 def test_no_gpu_is_a_sentence_with_the_remedy() -> None:
     torch = pytest.importorskip("torch", reason="torch is not installed")
-    assert torch_device(find_card("gen3c"), "cpu", "x").type == "cpu"
+    assert torch_device(find_card("gen3c"), "cpu").type == "cpu"
     if torch.cuda.is_available():
         pytest.skip("there is a GPU here")
-    with pytest.raises(UserError, match=r"sees none here.*set views\.synthesizer to warp"):
-        torch_device(find_card("gen3c"), "cuda", "set views.synthesizer to warp")
+    with pytest.raises(UserError, match=r"sees none here.*views\.synthesizer to warp"):
+        torch_device(find_card("gen3c"), "cuda")
 
 
 def test_a_checkpoint_that_would_run_code_is_a_sentence() -> None:
-    refused = pytest.raises(UserError, match=r"a checkpoint of Fixer holds more than arrays \(Unsupported global")
-    with refused, arrays_only(find_card("fixer")):
+    refused = pytest.raises(UserError, match=r"x\.pt are no weights of Fixer \(Unsupported global.*delete them")
+    with refused, loading(find_card("fixer"), Path("x.pt")):
         raise pickle.UnpicklingError("Unsupported global: pathlib.Path\nmore")

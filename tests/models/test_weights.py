@@ -138,7 +138,7 @@ def test_bodies_that_would_run_code_are_refused_before_upstream_unpickles_them(t
     (tmp_path / "hands.pkl").write_bytes(pickle.dumps({"left": np.arange(3)}))
     require_safe_pickles(sorted(tmp_path.iterdir()))
     np.savez(tmp_path / "evil.npz", code=np.array([Path("x"), 1], dtype=object))
-    with pytest.raises(UserError, match=r"evil\.npz is not a file of plain or chumpy arrays .*asks for pathlib"):
+    with pytest.raises(UserError, match=r"evil\.npz is no file of plain or chumpy arrays .*asks for pathlib"):
         require_safe_pickles(sorted(tmp_path.iterdir()))
 
 
@@ -161,7 +161,7 @@ def test_a_snapshot_brings_small_files_along_and_a_wrong_body_is_noticed(
     for stated in ("0" * 64, "0" * 40):
         monkeypatch.setitem(sys.modules, "huggingface_hub", Hub({"model.safetensors": b"x"}, stated=stated))
         (tmp_path / "pi3/model.safetensors").unlink(missing_ok=True)
-        with pytest.raises(UserError, match=r"is not what its publisher has|expected 33580e4702ac"):
+        with pytest.raises(UserError, match=r"is not what .* has|expected 33580e4702ac"):
             weights.run(["pi3"], tmp_path, "yes")
         assert "pi3/model.safetensors" not in read_pins(tmp_path)
 

@@ -134,7 +134,7 @@ VERBS = (
 # A verb at the beginning of a clause, what a value must be, or a remedy that is filled in.
 INSTRUCTION = re.compile(
     rf"(?:[;:(,] |\bor |\band |^|so )(?:{VERBS})\b|\bmust\b|did you mean|at most|at least|"
-    r"\{(?:remedy|cure|help_|instead|meant|example|refusal|lower|without|install_remedy|_?[A-Z_]+)\b"
+    r"\{(?:remedy|cure|help_|instead|meant|example|refusal|lower|without|install_remedy|card.instead|_?(?:AGAIN|ASK|COPY|CURE|EXAMPLE|INSTEAD|REMEDIES)\b)\b"
 )
 
 

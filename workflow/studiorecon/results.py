@@ -16,6 +16,7 @@ from studiorecon.scene.capture import read_manifest
 from studiorecon.scene.decisions import read_decisions
 from studiorecon.scene.gaussians import concatenate
 from studiorecon.scene.people import read_people
+from studiorecon.scene.step_files import require
 from studiorecon.splatting.device import DRAWN_FROM_M, rasteriser
 from studiorecon.splatting.rendering import Rendering
 from studiorecon.splatting.rigid_object import RigidObject
@@ -55,11 +56,8 @@ def load(folder: str | Path, body: str | Path | None = None) -> FinishedScene:
     scene = read_finished(manifest, place / "cameras/images.txt", files, [p for p in shots if p.stem != "train"])
     lengths = {p.person: p.frames for p in scene.people} | {o.person: len(o.centres_m) for o in scene.things}
     for moving, frames in lengths.items():
-        if frames != capture.frames:
-            raise UserError(
-                f"the motion of {moving} in scene {capture.scene} has {frames} frames and the capture "
-                f"{capture.frames}; run snakemake again"
-            )
+        words = f"it has {capture.frames} frames, the motion of {moving} {frames}"
+        require(manifest, frames == capture.frames, words)
     return scene
 
 

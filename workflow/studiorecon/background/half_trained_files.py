@@ -8,13 +8,13 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from studiorecon.errors import UserError
 from studiorecon.footage.video import read_stack, to_bytes, to_float, write_lossless
 from studiorecon.scene.camera import Camera
 from studiorecon.scene.gaussians import Gaussians
 from studiorecon.scene.gaussians_ply import read_ply, write_ply
 from studiorecon.scene.path import PathStep, read_path, write_path
 from studiorecon.scene.provenance import read_provenance, write_provenance
+from studiorecon.scene.step_files import require_size
 from studiorecon.splatting.train.targets import Target
 
 if TYPE_CHECKING:
@@ -50,7 +50,6 @@ def read_half(files: list[Path], weight: float) -> tuple[Gaussians, Integer[np.n
     steps, _ = read_path(path_file)
     targets = []
     for step, picture in zip(steps, read_stack(film, 0, len(steps))):
-        if picture.shape[:2] != step.camera.hw:
-            raise UserError(f"{film} is not of the size of {path_file}; enhance the views again")
+        require_size(film, picture, step.camera.wh)
         targets.append(Target(step.camera, to_float(picture), np.full(step.camera.hw, weight, np.float32)))
     return room, provenance, targets

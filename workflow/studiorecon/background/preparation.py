@@ -27,6 +27,7 @@ from studiorecon.scene.gaussians import Gaussians, concatenate
 from studiorecon.scene.path import PathStep, read_path
 from studiorecon.scene.provenance import INFERRED, INVENTED, MEASURED
 from studiorecon.scene.room import RoomBox, read_room
+from studiorecon.scene.step_files import require, require_size
 from studiorecon.scene.support import support_weight
 from studiorecon.splatting.cpu.harmonics import degree_supported
 from studiorecon.splatting.discs import make_discs
@@ -195,12 +196,8 @@ def mask_people(
     for view, (photo, video) in enumerate(zip(photos, videos)):
         picture = to_float(gains.normalise(photo.camera.name, read_frame(video, 0)))
         people = read_frame(masks[view], 0) > 0 if masks else np.zeros(photo.camera.hw, bool)
-        for path, hw in ((video, picture.shape[:2]), (masks[view] if masks else video, people.shape)):
-            if hw != photo.camera.hw:
-                raise UserError(
-                    f"{path} is {hw[1]}×{hw[0]} pixels, but camera {photo.camera.name} works at "
-                    f"{photo.camera.wh[0]}×{photo.camera.wh[1]}"
-                )
+        require_size(video, picture, photo.camera.wh)
+        require_size(masks[view] if masks else video, people, photo.camera.wh)
         known = ~dilate(people, dilation_px)
         if not known.any():
             raise UserError(
@@ -242,14 +239,11 @@ def read_views(
         return []
     steps, _ = read_path(path)
     segments = {step.segment for step in steps}
-    if len(views) != len(supports):
-        raise UserError(f"there are {len(views)} view videos and {len(supports)} masks of {path}; make views again")
     targets = []
-    for video, mask in zip(views, supports):
+    for video, mask in zip(views, supports, strict=True):
         # Gaps without synthesized views have no video.
         segment = video.name.partition(".")[0]
-        if segment not in segments:
-            raise UserError(f"{video} is of no segment of {path}; make views again")
+        require(video, segment in segments, f"it is of no segment of {path}")
         own = [step for step in steps if step.segment == segment]
         pictures, masks = (read_stack(film, 0, len(own)) for film in (video, mask))
         targets += view_targets(own, pictures, masks, cameras, painted, settings)

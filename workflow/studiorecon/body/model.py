@@ -77,9 +77,9 @@ class BodyModel:
     fingers: Fingers | None = None
 
     @staticmethod
-    def load(path: Path) -> BodyModel:
+    def load(path: Path | None) -> BodyModel:
         """The bundled body or an SMPL ``.npz``; raises UserError with one sentence for anything else."""
-        if not path.exists():
+        if path is None or not path.exists():
             raise UserError(f"body model {path} is missing; resources/body.npz is bundled, or give an SMPL .npz")
         cure = (
             "convert an SMPL .pkl with v_template, shapedirs, J_regressor, weights, kintree_table and f to an .npz of "
@@ -88,6 +88,11 @@ class BodyModel:
         data = read_npz(path, remedy=cure)
         with user_file_context(path, "a body model with the arrays of SMPL's .npz"):
             return _read(data, path)
+
+    def require_same(self, identity: str, owner: str) -> None:
+        """Raises UserError unless ``owner``, a file or a person, is of this body model."""
+        if identity != self.identity:
+            raise UserError(f"{owner} is of the body model {identity}, not {self.identity}; use the same body file")
 
     @property
     def vertex_count(self) -> int:

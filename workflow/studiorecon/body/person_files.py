@@ -9,13 +9,14 @@ from typing import Any
 
 import numpy as np
 
+from studiorecon.body.model import BodyModel
 from studiorecon.geometry import rotations
 from studiorecon.geometry.smoothing import fill_rotations, fill_vectors
 from studiorecon.progress import warn
 from studiorecon.scene.files import write_npz
 from studiorecon.scene.people import Person
 from studiorecon.scene.schema import KNOWN_OR_INFINITE, OptionalField, flag, frame_rate, metres, radians, real, text
-from studiorecon.scene.step_files import expect, expect_named, read
+from studiorecon.scene.step_files import expect, expect_named, read, require
 
 _PERSON = {
     "name": text(),
@@ -47,10 +48,11 @@ def write_person(path: Path, person: Person) -> None:
     write_npz(path, arrays | {"mocap_framerate": person.fps})
 
 
-def read_person(path: Path) -> Person:
+def read_person(path: Path, frames: int | None = None, model: BodyModel | None = None) -> Person:
     """The person of a file; a warning counts frames that are not finite, which are filled and not valid.
 
-    Raises UserError as ``step_files.read`` does, also when no frame is finite.
+    Raises UserError as ``step_files.read`` does, also when no frame is finite, or where the person has not these
+    ``frames``, or another body than ``model``.
     """
 
     def made(data: dict[str, Any]) -> tuple[Person, np.ndarray]:
@@ -64,6 +66,9 @@ def read_person(path: Path) -> Person:
         return person, sound
 
     person, sound = read(path, _PERSON, made)
+    count = len(person.poses)
+    require(path, frames in (None, count), f"it has {count} frames, the capture {frames}")
+    require(path, model is None or person.body == model.identity, f"it is of the body model {person.body}")
     if sound.all():
         return person
     warn(f"{path.name}: {int((~sound).sum())} frames hold numbers that are not finite; they count as not measured")

@@ -8,10 +8,9 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-from studiorecon.errors import UserError
 from studiorecon.scene.camera import LENS, Lens
 from studiorecon.scene.schema import Anything, ListOf, MappingOf, OptionalField, flag, text
-from studiorecon.scene.step_files import expect, read
+from studiorecon.scene.step_files import expect, read, require
 
 _CALIBRATION = {
     "lenses": ListOf(LENS),
@@ -61,8 +60,5 @@ def read_lenses(calibration: Path) -> Mapping[str, Lens]:
 def find_lens(calibration: Path, camera: str) -> Lens:
     """The lens of one camera; raises UserError for an unknown camera."""
     lenses = read_lenses(calibration)
-    if camera not in lenses:
-        raise UserError(
-            f"{calibration} has no camera {camera}; it has {', '.join(lenses)}: run calibration.files again"
-        )
+    require(calibration, camera in lenses, f"it has no camera {camera}, but {', '.join(lenses)}")
     return lenses[camera]

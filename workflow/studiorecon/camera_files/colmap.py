@@ -18,7 +18,7 @@ from studiorecon.geometry import rotations
 from studiorecon.scene.camera import CAMERA, Camera
 from studiorecon.scene.files import write_text
 from studiorecon.scene.schema import check, metres
-from studiorecon.scene.step_files import CURE, expect, step_file_context
+from studiorecon.scene.step_files import CURE, expect, require, step_file_context
 from studiorecon.scene.user_files import read_text
 from studiorecon.scene.user_values import short_text
 
@@ -67,6 +67,13 @@ def read_model(folder: Path) -> list[Camera]:
         expect(len(cameras) == len(models), f"{len(cameras)} of the {len(models)} cameras of cameras.txt")
         expect(len({camera.name for camera in cameras}) == len(cameras), "two cameras share a name")
     return cameras
+
+
+def camera_named(cameras: Sequence[Camera], name: str, model: Path) -> Camera:
+    """The camera ``name`` of the file ``model``; raises UserError where it has none."""
+    own = [camera for camera in cameras if camera.name == name]
+    require(model, own, f"it has no camera {name}, but {', '.join(camera.name for camera in cameras)}")
+    return own[0]
 
 
 def _models(rows: Sequence[Sequence[str]]) -> dict[str, tuple[tuple[int, int], np.ndarray]]:

@@ -19,7 +19,6 @@ from studiorecon.configuration.setting import setting
 from studiorecon.deliver import camera_files, joint_angles, keypoint_files, motion_files
 from studiorecon.deliver.body_colours import BodyColours, body_colours
 from studiorecon.deliver.gltf import write_glb
-from studiorecon.errors import UserError
 from studiorecon.progress import say
 from studiorecon.scene.camera import Camera
 from studiorecon.scene.capture import read_manifest
@@ -153,8 +152,6 @@ def digest(path: Path) -> dict[str, int | str]:
 def copy_files(copies: Mapping[Path, Path]) -> None:
     """Copy source → target, each completely or not at all."""
     for source, target in copies.items():
-        if not source.is_file():
-            raise UserError(f"{source} is missing, so it cannot be delivered; run the workflow again")
         with atomic_path(target) as partial:
             shutil.copyfile(source, partial)
 
@@ -170,11 +167,7 @@ def write_motion(
 
     Raises UserError when the fit is of another body model.
     """
-    if person.body != body.identity:
-        raise UserError(
-            f"{person.name} was fitted with the body model {person.body}, but "
-            f"{body.identity} was given; use the same body file"
-        )
+    body.require_same(person.body, person.name)
     written = []
     writers = motion_files.WRITERS | joint_angles.WRITERS | {"bvh": partial(motion_files.bvh, unit=bvh_unit)}
     for ending, write in writers.items():
@@ -246,8 +239,6 @@ def _motions(
     """Everybody's motion in every format."""
     if not fits:
         return []
-    if body is None:
-        raise UserError(f"{len(fits)} fits are given without a body model; add --body")
     model, written = BodyModel.load(body), list[Path]()
     colours = {one.person: body_colours(one) for one in people}
     for person in map(read_person, fits):

@@ -12,11 +12,11 @@ import numpy as np
 
 from studiorecon.body.avatar.avatar_files import Avatar
 from studiorecon.camera_files.colmap import read_model
-from studiorecon.errors import UserError
 from studiorecon.scene.camera import Camera
 from studiorecon.scene.capture import Manifest, read_manifest
 from studiorecon.scene.gaussians import Gaussians
 from studiorecon.scene.path import PathStep, read_path
+from studiorecon.scene.step_files import require
 from studiorecon.splatting.rigid_object import RigidObject
 from studiorecon.splatting.scene_files import SceneFiles
 
@@ -89,9 +89,5 @@ def require_finite(gaussians: Gaussians, source: Path) -> Gaussians:
         axis=1,
     )
     bad = np.flatnonzero(~np.isfinite(rows).all(axis=1) | np.isnan(gaussians.logit_opacities))
-    if len(bad):
-        raise UserError(
-            f"{source} holds {len(bad)} Gaussians that are not finite (the first is number {bad[0]}), and other "
-            "programs would draw nothing; delete it and run again"
-        )
+    require(source, not len(bad), f"{len(bad)} of its Gaussians are not finite")
     return gaussians

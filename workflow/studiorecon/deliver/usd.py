@@ -40,16 +40,14 @@ def pxr() -> Any:
     try:
         import pxr
         from pxr import Gf, Sdf, Tf, Usd, UsdGeom, UsdSkel, UsdVol, Vt  # noqa: F401
+
+        if not hasattr(UsdVol, "ParticleField3DGaussianSplat"):
+            raise ImportError("a schema for Gaussians needs 26.03 or later")
     except (ImportError, OSError) as error:
         raise UserError(
             f"deliver/scene.usdc is written by usd-core, which cannot be loaded ({error}); install the extra usd "
             "(uv run --extra usd, or pip install 'studiorecon[usd]'); the other files do not need it"
         ) from None
-    if not hasattr(UsdVol, "ParticleField3DGaussianSplat"):
-        raise UserError(
-            "deliver/scene.usdc needs usd-core 26.03 or later, which has a schema for Gaussians; install the extra "
-            "usd (uv run --extra usd, or pip install 'studiorecon[usd]')"
-        )
     return pxr
 
 

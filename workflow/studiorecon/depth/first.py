@@ -10,7 +10,7 @@ from pathlib import Path
 
 import numpy as np
 
-from studiorecon.camera_files.colmap import read_model
+from studiorecon.camera_files.colmap import camera_named, read_model
 from studiorecon.errors import UserError
 from studiorecon.footage.exr import write_depth
 from studiorecon.progress import say
@@ -23,9 +23,7 @@ _INSTEAD = "set depth.reference to planes"
 def run(camera: str, model: Path, first: Path, found: Path, depth: Written) -> None:
     """Write one camera's ``depth`` (EXR) in working metres from ``first``, that of the network's cameras ``found``."""
     cameras = read_model(model.parent)
-    own = next((c for c in cameras if c.name == camera), None)
-    if own is None:
-        raise UserError(f"camera {camera} is not in {model}")
+    own = camera_named(cameras, camera, model)
     depth_m, sure = first_moment(first, found, cameras, own, _INSTEAD)
     known = depth_m > 0
     if not known.any():

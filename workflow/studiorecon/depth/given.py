@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from studiorecon.camera_files.colmap import read_model
+from studiorecon.camera_files.colmap import camera_named, read_model
 from studiorecon.depth.sweep_settings import NearLimit
 from studiorecon.errors import UserError
 from studiorecon.footage.exr import read_depth, write_depth
@@ -48,24 +48,22 @@ def fit_given_depth(
 
 def run(settings: Settings, camera: str, model: Path, source: Path, depth: Written) -> None:
     """Write the given depth of one camera at the working size; refuses maps of another shape or nearly empty ones."""
-    found = [c for c in read_model(model.parent) if c.name == camera]
-    if not found:
-        raise UserError(f"camera {camera} is not in {model}")
+    own = camera_named(read_model(model.parent), camera, model)
     given_m, certain = read_depth(source)
-    shape = (given_m.shape[1] / given_m.shape[0]) / (found[0].wh[0] / found[0].wh[1])
+    shape = (given_m.shape[1] / given_m.shape[0]) / (own.wh[0] / own.wh[1])
     if abs(shape - 1) > _SHAPE_TOLERANCE:
         raise UserError(
             f"{source} is {given_m.shape[1]}×{given_m.shape[0]}, another shape than camera "
-            f"{camera} ({found[0].wh[0]}×{found[0].wh[1]}): make it of the undistorted capture/{camera}.mkv"
+            f"{camera} ({own.wh[0]}×{own.wh[1]}): make it of the undistorted capture/{camera}.mkv"
         )
-    depth_m, certain = fit_given_depth(given_m, certain, found[0], settings.near_m)
+    depth_m, certain = fit_given_depth(given_m, certain, own, settings.near_m)
     known = depth_m > 0
     if known.mean() < _MIN_KNOWN:
         raise UserError(
             f"{source} has depth for {known.mean():.1%} of its pixels; it must be "
             "z-depth in metres, 0 or NaN where unknown"
         )
-    below = found[0].unproject(found[0].pixel_centres(), np.where(known, depth_m, 1.0))[..., 2][known]
+    below = own.unproject(own.pixel_centres(), np.where(known, depth_m, 1.0))[..., 2][known]
     lowest_m = float(np.percentile(below, 2))
     say(f"depth of {camera} from your file: {known.mean():.0%} known, median {np.median(depth_m[known]):.2f} m")
     if abs(lowest_m) > 0.5:

@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numba import njit
 
-from studiorecon.camera_files.colmap import read_model
+from studiorecon.camera_files.colmap import camera_named, read_model
 from studiorecon.configuration.setting import setting
 from studiorecon.depth.estimates import read_camera_estimate
 from studiorecon.depth.fusion import NetworkTerm, calibrate_network, label_with_network
@@ -25,7 +25,6 @@ from studiorecon.depth.stereo.kernels import FIRST
 from studiorecon.depth.stereo.photo_cost import PhotoCostVolume, Surface
 from studiorecon.depth.stereo.plates import Picture, equalise_exposure, read_pictures
 from studiorecon.depth.sweep_settings import Comparison, DefaultConfidence
-from studiorecon.errors import UserError
 from studiorecon.footage.exr import write_depth
 from studiorecon.footage.stills import read_plate
 from studiorecon.images.sizes import resample_nearest
@@ -178,8 +177,7 @@ def run(
     """Write one camera's depth and confidence; ``estimates`` is a network's depth of it, if there is one."""
     cameras = read_model(model.parent)
     names = [c.name for c in cameras]
-    if camera not in names:
-        raise UserError(f"camera {camera} is not in {model}; it holds {', '.join(names)}")
+    camera_named(cameras, camera, model)
     index = names.index(camera)
     room, furniture = read_room(room_box, names), read_primitives(primitives)
     gains = np.stack([room.gains[name] for name in names])

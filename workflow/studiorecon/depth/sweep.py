@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from studiorecon.camera_files.colmap import read_model
+from studiorecon.camera_files.colmap import camera_named, read_model
 from studiorecon.configuration.setting import setting
 from studiorecon.depth.layout.yaw import match_yaw
 from studiorecon.depth.stereo.labelling import label_planes
@@ -21,7 +21,6 @@ from studiorecon.depth.stereo.matching import UNKNOWN
 from studiorecon.depth.stereo.planes import plane_hypotheses, rig_centre, wall_yaw
 from studiorecon.depth.stereo.plates import Picture, equalise_exposure, floor_and_gains, read_pictures
 from studiorecon.depth.sweep_settings import FirstLook, Matching
-from studiorecon.errors import UserError
 from studiorecon.progress import progress, say
 from studiorecon.scene.files import write_npz
 from studiorecon.signature import Written
@@ -89,8 +88,7 @@ def run(settings: Settings, camera: str, model: Path, plates: list[Path], sweep:
     """Sweep the planes through one camera's plate and write its votes."""
     cameras = read_model(model.parent)
     names = [c.name for c in cameras]
-    if camera not in names:
-        raise UserError(f"camera {camera} is not in {model}; it holds {', '.join(names)}")
+    camera_named(cameras, camera, model)
     pictures = read_pictures(cameras, plates, settings.sweep_width)
     floor_m, gains, pairs = floor_and_gains(pictures, settings.window, settings.near_m, settings.far_m)
     pictures = equalise_exposure(pictures, gains)

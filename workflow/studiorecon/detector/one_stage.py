@@ -60,8 +60,6 @@ class OneStage:
             raise UserError(
                 f"{path} takes {inputs}; a network for the whole picture must take a square (1, 3, side, side)"
             )
-        if given[0].type != "tensor(float)":
-            raise UserError(f"{path} takes {given[0].type}; detect.network must take float32: export it again")
         (self._edge,) = sides
         self._input = given[0].name
         points = self._run(np.full((self._edge, self._edge, 3), _BEYOND, np.uint8))[1]

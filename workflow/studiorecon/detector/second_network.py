@@ -7,6 +7,7 @@ from pathlib import Path
 
 from studiorecon.detector.one_stage import OneStage, is_one_stage
 from studiorecon.detector.top_down import TopDown
+from studiorecon.errors import UserError
 from studiorecon.machine.onnx_network import open_network
 
 SecondNetwork = TopDown | OneStage
@@ -19,4 +20,6 @@ def second_network(files: list[Path], layout: str) -> SecondNetwork | None:
         return None
     (path,) = files
     session = open_network(path, "set detect.network to a readable file")
+    if (kind := session.get_inputs()[0].type) != "tensor(float)":
+        raise UserError(f"{path} takes {kind}; detect.network must take float32: export it again")
     return OneStage(session, path, layout) if is_one_stage(session) else TopDown(session, path, layout)

@@ -11,13 +11,13 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from studiorecon.camera_files.colmap import read_model
-from studiorecon.errors import UserError
 from studiorecon.footage.video import Playback
 from studiorecon.images.transfer import ResidualSource, Transfer, residual_source
 from studiorecon.scene.camera import Camera
 from studiorecon.scene.capture import read_manifest
 from studiorecon.scene.factors import NONE, Factors, read_factors
 from studiorecon.scene.path import PathStep, read_path
+from studiorecon.scene.step_files import require
 
 if TYPE_CHECKING:
     from jaxtyping import Float, Integer
@@ -94,8 +94,8 @@ def open_training(
     Raises UserError when the films are of other cameras or frames.
     """
     segments = [step.segment for step in steps]
-    if [camera.name for camera in cameras] != list(dict.fromkeys(segments)) or len(segments) != len(cameras) * frames:
-        raise UserError(f"{renders} does not show {frames} frames of each training camera; render the shot train again")
+    of_all = [camera.name for camera in cameras for _ in range(frames)]
+    require(renders, segments == of_all, f"it does not show {frames} frames of each training camera")
     parts = range(len(cameras))
     return Training(
         cameras,

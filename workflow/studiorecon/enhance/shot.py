@@ -16,7 +16,6 @@ from studiorecon.enhance.backends import ResidualTransfer, Unchanged, load_enhan
 from studiorecon.enhance.injection_settings import Carrying, Enhancing, Injecting
 from studiorecon.enhance.photos import Training, TrainingFiles
 from studiorecon.enhance.trial import decide_injection, flicker_increase, transfer_strength
-from studiorecon.errors import UserError
 from studiorecon.footage.stills import read_plate
 from studiorecon.footage.streams import parallel_writers
 from studiorecon.footage.video import read_frames, to_bytes, write_lossless, write_watchable
@@ -28,6 +27,7 @@ from studiorecon.recursive.sequence import adapt_injection, enhance_sequence, is
 from studiorecon.scene.decisions import Decision, apply_forced, read_decisions, write_decisions
 from studiorecon.scene.effects import ENHANCEMENT, FILMED, INJECTION, certain_decision, force, thresholds
 from studiorecon.scene.path import PathStep, read_path
+from studiorecon.scene.step_files import require
 from studiorecon.signature import Place, Written
 
 if TYPE_CHECKING:
@@ -240,16 +240,8 @@ def read_made_films(films: Sequence[Path], render: Path, count: int) -> Iterator
     number = 0
     for film in films:
         for picture in read_frames(film):
-            if picture.shape != drawn.shape:
-                raise UserError(
-                    f"{film} is {picture.shape[1]}×{picture.shape[0]} and {render} {drawn.shape[1]}×{drawn.shape[0]}; "
-                    "enhance the current render"
-                )
+            require(film, picture.shape == drawn.shape, f"it has another size than {render}")
             number += 1
             if number <= count:
                 yield picture
-    if number != count:
-        raise UserError(
-            f"{films[-1]} has {number} pictures and {render} has {count}; enhance every picture of the shot as it is "
-            "now"
-        )
+    require(films[-1], number == count, f"it has {number} pictures and {render} {count}")

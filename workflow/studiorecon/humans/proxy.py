@@ -15,7 +15,6 @@ import scipy
 
 from studiorecon.body.model import BodyModel
 from studiorecon.body.person_files import read_person
-from studiorecon.errors import UserError
 from studiorecon.humans.start_settings import StartSettings
 from studiorecon.humans.surface_samples import gaussians_on, initial_samples
 from studiorecon.progress import say
@@ -47,12 +46,8 @@ def chequered_colours(points_m: Float[np.ndarray, "N 3"], parts: Shaped[np.ndarr
 
 def run(settings: Settings, body: Path, fit: Path, gaussians: Written) -> None:
     """Write the body of the person of ``fit`` in its rest pose as a canonical ``.ply``."""
-    model, person = BodyModel.load(body), read_person(fit)
-    if person.body != model.identity:
-        raise UserError(
-            f"{fit} was fitted with the body model {person.body}, but {body} is "
-            f"{model.identity}; fit {person.name} again"
-        )
+    model = BodyModel.load(body)
+    person = read_person(fit, model=model)
     rest = model.rest_vertices(person.betas)
     names = np.array(model.region_names)[model.region]
     faces = model.faces[names[model.faces[:, 0]] != "inside"]

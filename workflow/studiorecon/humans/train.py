@@ -169,13 +169,8 @@ def _person_index(settings: Settings, person: str, people: Path) -> int:
 
 def _read_fit(fit: Path, body: Path) -> tuple[Person, BodyModel]:
     """The fitted person and the body model; UserError where the person was fitted with another one."""
-    fitted, body_model = read_person(fit), BodyModel.load(body)
-    if fitted.body != body_model.identity:
-        raise UserError(
-            f"{fit} was fitted with the body model {fitted.body}, but {body} is "
-            f"{body_model.identity}; fit {fitted.name} again"
-        )
-    return fitted, body_model
+    body_model = BodyModel.load(body)
+    return read_person(fit, model=body_model), body_model
 
 
 def _training_subject(

@@ -13,8 +13,7 @@ import numpy as np
 from studiorecon.body.model import BodyModel
 from studiorecon.body.person_files import read_person
 from studiorecon.camera_files.calibration import find_lens
-from studiorecon.camera_files.colmap import read_model
-from studiorecon.errors import UserError
+from studiorecon.camera_files.colmap import camera_named, read_model
 from studiorecon.footage.stills import read_plate
 from studiorecon.footage.video import read_frames, write_lossless
 from studiorecon.masks.detector_masks import masks_by_frame
@@ -27,6 +26,7 @@ from studiorecon.scene.capture import read_footage
 from studiorecon.scene.factors import read_factors
 from studiorecon.scene.people import read_detections, read_identities, split_tracks
 from studiorecon.scene.raw_detections import read_raw_detections
+from studiorecon.scene.step_files import require
 from studiorecon.signature import Written
 from studiorecon.splatting.rigid_object import read_objects
 
@@ -52,10 +52,7 @@ class NetworkLabels:
         else:
             if number + 1 == self.count:
                 return
-        raise UserError(
-            f"{self.film} is not of {self.count} frames of {self.hw[1]}×{self.hw[0]}, as the video is; run "
-            "masks.network again"
-        )
+        require(self.film, False, f"it has not the {self.count} frames of {self.hw[1]}×{self.hw[0]} of the video")
 
 
 @dataclass(frozen=True)
@@ -100,9 +97,7 @@ def run(
 
     ``given`` (none or one path) are the user's masks, which stay as they are; ``tracks`` a network's film of numbers.
     """
-    own = next((c for c in read_model(film.model.parent) if c.name == camera), None)
-    if own is None:
-        raise UserError(f"{film.model} has no camera {camera}; run cameras.refine again")
+    own = camera_named(read_model(film.model.parent), camera, film.model)
     frames = read_footage(film.footage).frames
     bodies = _bodies(fits, body, own, frames)
     persons, pixels = bodies.people, np.zeros(256, np.int64)
@@ -123,15 +118,8 @@ def run(
 
 def _bodies(fits: Sequence[Path], body: Path, camera: Camera, frames: int) -> Bodies:
     """The fitted bodies as a camera sees them; UserError where one is not of this footage or body model."""
-    persons, model = [read_person(path) for path in fits], BodyModel.load(body)
-    for path, fit in zip(fits, persons):
-        if fit.body != model.identity or len(fit.poses) != frames:
-            raise UserError(
-                f"{path} holds {len(fit.poses)} frames of body {fit.body}, but the video "
-                f"has {frames} frames and {body} is "
-                f"{model.identity}; run people.fit again"
-            )
-    return Bodies(persons, model, camera, frames)
+    model = BodyModel.load(body)
+    return Bodies([read_person(path, frames, model) for path in fits], model, camera, frames)
 
 
 def _by_plate(

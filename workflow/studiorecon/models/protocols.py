@@ -149,7 +149,7 @@ class ViewSynthesizer(Protocol):
 
     @staticmethod
     def check(request: dict[str, Shaped[np.ndarray, " ..."]]) -> None:
-        """Raises UserError for a request that the network would misread."""
+        """Raises ValueError for a request that the network would misread."""
         ...
 
     @staticmethod

@@ -20,7 +20,6 @@ from studiorecon.body.person_files import read_person
 from studiorecon.body.silhouettes import dilated_silhouettes
 from studiorecon.camera_files.colmap import read_model
 from studiorecon.configuration.setting import setting
-from studiorecon.errors import UserError
 from studiorecon.footage.stills import read_plate, shrink_plate
 from studiorecon.footage.video import read_frames
 from studiorecon.objects import carving
@@ -299,18 +298,8 @@ def run(
     cameras = read_model(model.parent)
     footage = read_manifest(manifest)
     require_one_each(cameras, videos=videos, plates=plates)
-    persons = [read_person(path) for path in fits]
-    body_model: BodyModel | None = None
-    if persons:
-        if body is None:
-            raise UserError(f"{len(persons)} people are given without a body model; add --body")
-        body_model = BodyModel.load(body)
-    for path, fit in zip(fits, persons):
-        if (body_model is not None and fit.body != body_model.identity) or len(fit.poses) != footage.frames:
-            raise UserError(
-                f"{path} holds {len(fit.poses)} frames of body {fit.body}, the footage "
-                f"{footage.frames} frames; run people.fit again"
-            )
+    body_model = BodyModel.load(body) if fits else None
+    persons = [read_person(path, footage.frames, body_model) for path in fits]
     gain, every = read_factors(gains or []), read_factors([*(gains or []), *(brightness or [])], footage.frames)
     views = [open_view(*each, settings.pixels, gain) for each in zip(cameras, videos, plates)]
     about = (persons, body_model, footage.frames, settings.loose.margin_m)

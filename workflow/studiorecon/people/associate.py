@@ -14,7 +14,6 @@ import numpy as np
 from studiorecon.camera_files.calibration import find_lens
 from studiorecon.camera_files.colmap import read_model
 from studiorecon.configuration.setting import setting
-from studiorecon.errors import UserError
 from studiorecon.people.association.acceptance import TrackVerdict, identities_from_keypoints
 from studiorecon.people.association.affinity import AssociationLimits
 from studiorecon.people.association.rejected_people import RejectedPerson, report_rejected
@@ -36,6 +35,7 @@ from studiorecon.scene.people import (
     write_people,
 )
 from studiorecon.scene.readouts import Readout, write_readouts
+from studiorecon.scene.step_files import require
 from studiorecon.signature import Written
 
 # Less confident keypoints only cost time where readouts are estimated.
@@ -162,11 +162,8 @@ def _lines_of(name: str, table: Mapping[tuple[str, int], str]) -> dict[tuple[str
 def _read_of_all(paths: Sequence[Path], cameras: Sequence[Camera]) -> list[Detections]:
     """Detections of every camera, in the order of ``cameras``."""
     given = [read_detections(path) for path in paths]
-    if [d.camera for d in given] != [c.name for c in cameras]:
-        raise UserError(
-            f"detections are of {[d.camera for d in given]}, the model has "
-            f"{[c.name for c in cameras]}; delete results and run again"
-        )
+    for path, one, camera in zip(paths, given, cameras, strict=True):
+        require(path, one.camera == camera.name, f"it is of {one.camera}, not {camera.name}")
     return given
 
 

@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from studiorecon.camera_files.colmap import read_model
+from studiorecon.camera_files.colmap import camera_named, read_model
 from studiorecon.configuration.setting import setting
 from studiorecon.errors import UserError
 from studiorecon.footage.video import read_frames
@@ -184,9 +184,7 @@ def run(
     later frames of ``video``. Depth maps of all frames with people are in a temporary file: 4 bytes a pixel.
     """
     cameras = read_model(model.parent)
-    own = next((c for c in cameras if c.name == camera), None)
-    if own is None:
-        raise UserError(f"camera {camera} is not in {model}")
+    own = camera_named(cameras, camera, model)
     seen, (first_m, _) = read_detections(detections), first_moment(first, found, cameras, own, _INSTEAD)
     if not len(seen.frame):
         write_detections(lifted_detections, replace(seen, pelvis=np.zeros((0, 3))))

@@ -15,8 +15,7 @@ import cv2
 import numpy as np
 
 from studiorecon.body.person_files import read_person
-from studiorecon.camera_files.colmap import read_model
-from studiorecon.errors import UserError
+from studiorecon.camera_files.colmap import camera_named, read_model
 from studiorecon.footage.video import read_frames, write_watchable
 from studiorecon.images.palette import NOBODY, person_colour
 from studiorecon.keypoints.layouts import JOINT_NAMES, LAYOUTS
@@ -94,15 +93,8 @@ def run(
     Raises UserError when a fit has another length than the capture.
     """
     capture = read_manifest(manifest)
-    own = next((c for c in read_model(model.parent) if c.name == camera), None)
-    if own is None:
-        raise UserError(f"camera {camera} is not in {model}")
-    people = [read_person(fit) for fit in fits]
-    for person, fit in zip(people, fits):
-        if len(person.poses) != capture.frames:
-            raise UserError(
-                f"{fit} has {len(person.poses)} frames and the capture {capture.frames}; delete {fit} and run again"
-            )
+    own = camera_named(read_model(model.parent), camera, model)
+    people = [read_person(fit, capture.frames) for fit in fits]
     known = read_identities(identities)
     seen = split_tracks(read_detections(detections[0]), known) if detections else None
     frames = progress(enumerate(read_frames(video)), f"skeletons in {camera}")

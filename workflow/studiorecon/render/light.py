@@ -82,11 +82,7 @@ class FloorObservations:
 def bodies_over_time(people: Sequence[Person], model: BodyModel) -> list[list[Float[np.ndarray, "C 7"]]]:
     """Per frame the capsules of every person; none where unmeasured. Raises UserError for another body model."""
     for person in people:
-        if person.body != model.identity:
-            raise UserError(
-                f"{person.name} was fitted with the body model {person.body}, not "
-                f"{model.identity}; use the same body file"
-            )
+        model.require_same(person.body, person.name)
     shapes = [build_occluder(model, person.betas) for person in people]
     moved = [model.joint_transforms(person.poses, person.betas, person.trans) for person in people]
     return [

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from studiorecon.camera_files.colmap import read_model
+from studiorecon.camera_files.colmap import camera_named, read_model
 from studiorecon.errors import UserError
 from studiorecon.footage.exr import read_depth
 from studiorecon.images.sizes import resample_nearest
@@ -50,9 +50,7 @@ def first_moment(
     UserError, with the remedy ``instead``, when the two show different pictures.
     """
     network = read_model(found.parent)
-    seen = next((c for c in network if c.name == own.name), None)
-    if seen is None:
-        raise UserError(f"camera {own.name} is not in {found}; delete results and run again")
+    seen = camera_named(network, own.name, found)
     apart = seen.resized(own.wh).focal_px[0] / own.focal_px[0]
     if abs(apart - 1) > _FOCAL_TOLERANCE:
         raise UserError(

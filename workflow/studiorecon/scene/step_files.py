@@ -90,6 +90,12 @@ def expect(holds: object, words: str) -> None:
         raise ValueError(words)
 
 
+def require(path: Path, holds: object, words: str) -> None:
+    """Raises UserError that names a step's file unless ``holds``: for conditions between the files of steps."""
+    with step_file_context(path):
+        expect(holds, words)
+
+
 def expect_named(path: Path, owner: str) -> None:
     """Raises ValueError unless the file's name is that of the camera or person in it."""
     expect(path.stem == owner, f"it is {owner}'s, not {path.stem}'s")
@@ -97,9 +103,8 @@ def expect_named(path: Path, owner: str) -> None:
 
 def require_size(path: Path, picture: Shaped[np.ndarray, "H W ..."], wh: tuple[int, int]) -> None:
     """Raises UserError unless a step's picture has the size of its camera's."""
-    with step_file_context(path):
-        width, height = picture.shape[1], picture.shape[0]
-        expect((width, height) == tuple(wh), f"it is {width}×{height}, its camera's pictures are {wh[0]}×{wh[1]}")
+    width, height = picture.shape[1], picture.shape[0]
+    require(path, (width, height) == tuple(wh), f"it is {width}×{height}, its camera's pictures are {wh[0]}×{wh[1]}")
 
 
 @contextmanager
@@ -111,4 +116,4 @@ def step_file_context(path: Path) -> Iterator[None]:
         raise
     except (LookupError, TypeError, ValueError, AttributeError, ArithmeticError, csv.Error) as error:
         reason = f"it has no {error.args[0]!r}" if isinstance(error, KeyError) else user_files.first_line(error)
-        raise UserError(f"{path} is damaged, or of another version of this program ({reason}); {CURE}") from None
+        raise UserError(f"{path} is damaged, or of another run or version of this program ({reason}); {CURE}") from None

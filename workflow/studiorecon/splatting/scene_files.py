@@ -11,7 +11,6 @@ import numpy as np
 
 from studiorecon.body.avatar.avatar_files import Avatar, read_avatar
 from studiorecon.body.model import BodyModel
-from studiorecon.errors import UserError
 from studiorecon.scene.gaussians import Gaussians
 from studiorecon.scene.gaussians_ply import read_ply
 from studiorecon.scene.provenance import read_provenance
@@ -47,8 +46,6 @@ class SceneFiles:
         """All people; raises UserError where there is no body model for them."""
         if not self.avatars:
             return []
-        if self.body is None:
-            raise UserError(f"{len(self.avatars)} avatars are given without a body model; add --body")
         model = BodyModel.load(self.body)
         return [read_avatar(ply, npz, model) for ply, npz in zip(self.gaussians, self.avatars, strict=True)]
 

@@ -20,12 +20,12 @@ import scipy
 from studiorecon.body.model import BodyModel
 from studiorecon.body.person_files import read_person
 from studiorecon.body.silhouettes import person_depth_m
-from studiorecon.errors import UserError
 from studiorecon.footage.video import read_frame, to_float
 from studiorecon.scene.camera import Camera
 from studiorecon.scene.factors import Factors
 from studiorecon.scene.files import require_one_each
 from studiorecon.scene.people import Person
+from studiorecon.scene.step_files import require_size
 from studiorecon.views.forward_warp import WarpSource, warp_source
 
 if TYPE_CHECKING:
@@ -76,11 +76,8 @@ def first_pictures(
     for view, (photo, video) in enumerate(zip(photos, videos)):
         picture = to_float(factors.normalise(photo.camera.name, read_frame(video, _FIRST)))
         labels = read_frame(masks[view], _FIRST) if masks else np.zeros(photo.camera.hw, np.uint8)
-        if picture.shape[:2] != photo.camera.hw or labels.shape != photo.camera.hw:
-            raise UserError(
-                f"{video} and its masks must be {photo.camera.wh[0]}×{photo.camera.wh[1]}, as camera "
-                f"{photo.camera.name} works"
-            )
+        require_size(video, picture, photo.camera.wh)
+        require_size(masks[view] if masks else video, labels, photo.camera.wh)
         theirs, fitted = labels > 0, (labels > 0) & (labels <= len(standing.people))
         depth = photo.depth_m
         if not measured:

@@ -22,6 +22,7 @@ from studiorecon.models.choices import Synthesizer
 from studiorecon.models.loading import adapter
 from studiorecon.progress import progress, say
 from studiorecon.scene.camera import Camera
+from studiorecon.scene.step_files import require
 from studiorecon.scene.support import EXCLUDED, support_levels
 from studiorecon.signature import Written
 from studiorecon.views.first_moment import FirstMomentPeople
@@ -95,9 +96,8 @@ def read_person_masks(film: Path) -> Callable[[Camera, tuple[int, int]], Bool[np
     masks = read_frames(film)
 
     def people(camera: Camera, hw: tuple[int, int]) -> np.ndarray:
-        mask = next(masks, None)
-        if mask is None or mask.shape != hw:
-            raise UserError(f"{film} is not of the film whose views it is about; delete it and run again")
+        mask = next(masks, np.zeros(0, np.uint8))
+        require(film, mask.shape == hw, "it is not of the film whose views it is about")
         if hw == camera.hw:
             return mask > 0
         shown = np.repeat(mask[..., None] > 0, 3, axis=2).astype(np.float32)

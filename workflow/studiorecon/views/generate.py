@@ -17,7 +17,7 @@ from studiorecon.models.loading import adapter, load
 from studiorecon.models.protocols import ViewSynthesizer
 from studiorecon.progress import say
 from studiorecon.scene.schema import MappingOf, real
-from studiorecon.scene.step_files import read
+from studiorecon.scene.step_files import read, step_file_context
 from studiorecon.signature import Place, Written
 from studiorecon.views.warp_settings import ViewSource
 
@@ -69,7 +69,7 @@ def request_frames(
         say(f"{made} of {wanted} views")
         yield from part
     if made != wanted:
-        raise UserError(f"the network made {made} views of {wanted}; use upstream at the pin in the table of models")
+        raise UserError(f"the network made {made} views of {wanted}")
 
 
 def run(settings: Settings, requests: list[Path], films: list[Written], weights: Place) -> None:
@@ -77,8 +77,9 @@ def run(settings: Settings, requests: list[Path], films: list[Written], weights:
     if len(requests) != len(films):
         raise UserError(f"{len(requests)} requests for {len(films)} films")
     contents = [read_request(path) for path in requests]
-    for request in contents:
-        adapter("view synthesizer", settings.synthesizer).check(request)
+    for path, request in zip(requests, contents):
+        with step_file_context(path):
+            adapter("view synthesizer", settings.synthesizer).check(request)
     network = load("view synthesizer", settings.synthesizer, weights, "cuda", **asdict(settings.gen3c))
     for request, film in zip(contents, films):
         say(f"{film.name}: {len(request['w2cs_all'])} views, {settings.gen3c.steps} steps, seed {settings.gen3c.seed}")

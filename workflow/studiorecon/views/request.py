@@ -12,7 +12,6 @@ from pathlib import Path
 
 import numpy as np
 
-from studiorecon.errors import UserError
 from studiorecon.footage.video import to_float
 from studiorecon.models.loading import adapter
 from studiorecon.models.protocols import KeyFrame
@@ -93,12 +92,9 @@ def run(
             "more at once"
         )
     key_frames = [key_frame(photo, frame, settings.inpaint_radius) for photo in nearest_photos(way, photos, count)]
-    try:
-        made = network.request(key_frames, [frame.camera(camera) for camera in way])
-        network.check(made)
-        found = network.evidence(made)
-    except UserError as refusal:
-        raise UserError(f"segment {segment}: {refusal}") from None
+    made = network.request(key_frames, [frame.camera(camera) for camera in way])
+    network.check(made)
+    found = network.evidence(made)
     say(
         f"segment {segment}: {len(key_frames)} key frames, {len(way)} views, lengths × {float(made['scene_scale']):.3g}"
     )

@@ -19,7 +19,6 @@ from studiorecon.body.avatar.posing import Posing
 from studiorecon.body.avatar.temporal import NETWORK, TemporalNetwork
 from studiorecon.body.hands import scale_hands
 from studiorecon.body.model import BodyModel
-from studiorecon.errors import UserError
 from studiorecon.geometry import rotations
 from studiorecon.progress import say
 from studiorecon.scene.decisions import Decision, from_entry
@@ -246,11 +245,7 @@ def read_avatar(ply: Path, npz: Path, model: BodyModel, *, brought: bool = False
                 str(data["gaussians_sha256"]) == _sha256(ply),
                 f"it was not written together with {ply.name}: delete both",
             )
-        if str(data["body"]) != model.identity:
-            raise UserError(
-                f"{npz} was trained on the body model {data['body']}, but "
-                f"{model.identity} was given; use the same body file"
-            )
+        model.require_same(str(data["body"]), str(npz))
         held = {name.removeprefix(_NETWORK): data[name] for name in data if name.startswith(_NETWORK)}
         scale = data.get("hand_scale")
         if scale is not None:

@@ -11,10 +11,9 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from studiorecon.depth.stereo.plates import Picture
-from studiorecon.errors import UserError
 from studiorecon.scene.room import RoomBox
 from studiorecon.scene.schema import UNIT_NORMALS, flag, metres, radians, real, whole
-from studiorecon.scene.step_files import expect, read
+from studiorecon.scene.step_files import expect, read, require
 
 if TYPE_CHECKING:
     from jaxtyping import Bool, Float, Integer, Num
@@ -93,11 +92,8 @@ def _check_votes(arrays: dict[str, Any]) -> dict[str, Any]:
 def read_sweeps(sweeps: Sequence[Path], cameras: int) -> PlaneSweep:
     """The sweeps of ``cameras``; raises UserError unless there is one of each, all of one catalogue."""
     swept = [read(path, _SWEEP, _check_votes, sizes={"V": cameras}) for path in sweeps]
-    if len(swept) != cameras or not all(np.array_equal(s["planes"], swept[0]["planes"]) for s in swept):
-        raise UserError(
-            f"{', '.join(map(str, sweeps))} are not one sweep for each of {cameras} cameras, or of different settings; "
-            "delete them and run again"
-        )
+    for path, one in zip(sweeps, swept, strict=True):
+        require(path, np.array_equal(one["planes"], swept[0]["planes"]), f"its planes are not those of {sweeps[0]}")
     first = swept[0]
     votes = Votes(first["planes"], [s["chosen"].astype(int) for s in swept], [s["confident"] for s in swept])
     return PlaneSweep(votes, first["gains"], float(first["floor_m"]), float(first["yaw_rad"]))

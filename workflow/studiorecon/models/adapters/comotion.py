@@ -24,6 +24,7 @@ from studiorecon.models.catalogue.card import Card, Memory, Runtime, Terms, Weig
 from studiorecon.models.catalogue.preflight import (
     attribute,
     import_upstream,
+    other_version,
     require_finite,
     staged_weights,
     torch_device,
@@ -66,6 +67,7 @@ CARD = Card(
     memory=Memory(6.0, "one 512 pixel frame at a time; our estimate"),
     tried="random weights",
     unchecked="SMPL's file",
+    instead="set detect.source to keypoints and bring keypoint files",
 )
 CARDS = (CARD,)
 
@@ -74,7 +76,6 @@ JOINTS = 27
 """SMPL's first 22, then nose, right eye, left eye, right ear, left ear."""
 UNSEEN = 0.1
 """Confidence of a body that is extrapolated where nothing was detected."""
-_LOWER = "set detect.source to keypoints and bring keypoint files"
 # A detection belongs to a track when their points are this near, as a share of the body's box diagonal.
 _SAME = 0.15
 _STORED = ("id", "frame_idx", "pose", "betas", "trans", "pred_2d", "pred_3d")
@@ -101,10 +102,7 @@ def postprocess(
     for name, shape in _FIELDS.items():
         if name not in tracks or tracks[name].shape[1:] != shape:
             found = tracks[name].shape if name in tracks else "nothing"
-            raise UserError(
-                f"CoMotion's tracks hold {found} as {name}, expected (slots, "
-                f"{', '.join(map(str, shape))}); use upstream at its pin"
-            )
+            raise other_version(CARD, f"returned {found} as {name}, expected (slots, {', '.join(map(str, shape))})")
     used = tracks["id"] > 0
     own = {name: require_finite(CARD, name, values[used]) for name, values in tracks.items()}
     joints = own["pred_2d"].astype(np.float64)
@@ -182,7 +180,7 @@ class Comotion:
             # Upstream unpickles SMPL's file unchecked, and would run any code in it.
             body = weights / "smpl/SMPL_NEUTRAL.pkl"
             import_upstream(card, "comotion_demo.utils.smpl_kinematics").pickle = _Arrays(body)
-            self._device = torch_device(card, where, _LOWER)
+            self._device = torch_device(card, where)
             self._network = attribute(card, module, "CoMotion")(use_coreml=False, pretrained=True)
         except (FileNotFoundError, AssertionError) as error:
             reason = next(iter(str(error).splitlines()), "no reason given")

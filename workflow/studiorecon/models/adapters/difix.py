@@ -12,12 +12,13 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from studiorecon.errors import UserError
 from studiorecon.images.sizes import as_float, pad_to_multiple, resample
 from studiorecon.models.catalogue.card import HUB, Card, Memory, Runtime, Terms, WeightFile
 from studiorecon.models.catalogue.preflight import (
     attribute,
+    failed,
     import_upstream,
+    other_version,
     require_finite,
     staged_weights,
     torch_device,
@@ -68,6 +69,7 @@ CARD = Card(
     memory=Memory(10.0, "1280×704 in half precision; our estimate"),
     tried="random weights",
     unchecked="the VAE's code on the hub; bfloat16",
+    instead="set enhance.enhancer to residual",
 )
 CARDS = (CARD,)
 
@@ -76,7 +78,6 @@ PROMPT = "remove degradation"
 STEP = 199
 """The paper's τ = 200 counted from zero."""
 MULTIPLE_PX = 8
-_LOWER = "set enhance.enhancer to residual"
 # Change of brightness beyond which the network has failed: half precision overflows to black or white.
 _LARGEST_SHIFT = 0.25
 
@@ -100,10 +101,7 @@ def postprocess(
     """Float32 picture in [0, 1] from the network's; raises UserError when the result is unusable."""
     height, width = image.shape[:2]
     if made.ndim != 4 or made.shape[:2] != (1, 3) or made.shape[2] < height or made.shape[3] < width:
-        raise UserError(
-            f"the enhancer {card.name} returned shape {made.shape}, expected (1, 3, ≥ "
-            f"{height}, ≥ {width}); use upstream at its pin"
-        )
+        raise other_version(card, f"returned a picture of {made.shape}, expected (1, 3, ≥ {height}, ≥ {width})")
     picture = (
         np.clip(require_finite(card, "a picture", made[0, :, :height, :width]), 0, 1)
         .transpose(1, 2, 0)
@@ -111,10 +109,7 @@ def postprocess(
     )
     shift = abs(float(picture.mean()) - float(as_float(image).mean()))
     if shift > _LARGEST_SHIFT:
-        raise UserError(
-            f"the enhancer {card.name} changed a picture's brightness by {shift:.2f}: it "
-            "failed there; run it in full precision"
-        )
+        raise failed(card, f"changed a picture's brightness by {shift:.2f}")
     return np.ascontiguousarray(picture)
 
 
@@ -126,7 +121,7 @@ class Difix:
         pipeline = attribute(card, import_upstream(card, "pipeline_difix"), "DifixPipeline")
         import torch
 
-        self._device, self._seed = torch_device(card, where, _LOWER), seed
+        self._device, self._seed = torch_device(card, where), seed
         # Upstream trains in bfloat16 and shows float32; float16 overflows to black pictures.
         kind = torch.bfloat16 if self._device.type == "cuda" else torch.float32
         self._pipeline = pipeline.from_pretrained(

@@ -8,14 +8,14 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from studiorecon.errors import UserError
 from studiorecon.images.sizes import as_float, resample
 from studiorecon.models.adapters import difix
 from studiorecon.models.catalogue.card import HUB, Card, Memory, Runtime, Terms, WeightFile
 from studiorecon.models.catalogue.preflight import (
-    arrays_only,
     attribute,
     import_upstream,
+    loading,
+    other_version,
     require_finite,
     staged_weights,
     torch_device,
@@ -47,11 +47,11 @@ CARD = Card(
     memory=Memory(16.0, "576×1024; our estimate"),
     tried="never",
     unchecked="NVIDIA's base image",
+    instead="set enhance.enhancer to residual",
 )
 CARDS = (CARD,)
 
 HW, STEP = (576, 1024), 250
-_LOWER = "set enhance.enhancer to residual"
 
 
 def preprocess(image: Num[np.ndarray, "H W 3"]) -> tuple[Float[np.ndarray, "1 3 576 1024"], tuple[int, int]]:
@@ -69,7 +69,7 @@ def postprocess(
 ) -> Float[np.ndarray, "H W 3"]:
     """Float32 picture in [0, 1] from Fixer's in [-1, 1]."""
     if made.shape != (1, 3, *HW):
-        raise UserError(f"Fixer returned shape {made.shape}, expected {(1, 3, *HW)}; use upstream at its pin")
+        raise other_version(CARD, f"returned a picture of {made.shape}, expected {(1, 3, *HW)}")
     inside = np.clip((require_finite(CARD, "a picture", made)[0, :, : taken[0], : taken[1]] + 1) / 2, 0, 1).transpose(
         1, 2, 0
     )
@@ -82,7 +82,7 @@ class Fixer:
     def __init__(self, card: Card, weights: Path, where: str, seed: int = 0) -> None:
         folder = staged_weights(card, weights) / "fixer"
         module = import_upstream(card, "pix2pix_turbo_nocond_cosmos_base_faster_tokenizer")
-        self._device = torch_device(card, where, _LOWER)
+        self._device = torch_device(card, where)
         import torch
 
         # Upstream keeps the paths of its base model in a module's constant; there is no argument for them.
@@ -90,7 +90,7 @@ class Fixer:
         config.dit_path = str(folder / "base/model_fast_tokenizer.pt")
         config.tokenizer["vae_pth"] = str(folder / "base/tokenizer_fast.pth")
         network = attribute(card, module, "Pix2Pix_Turbo")
-        with arrays_only(card):
+        with loading(card, folder):
             self._model = network(
                 pretrained_path=str(folder / "pretrained/pretrained_fixer.pkl"),
                 timestep=STEP,

@@ -19,7 +19,15 @@ import numpy as np
 from studiorecon.errors import UserError
 from studiorecon.models.adapters.gen3c_request import CHUNK, HW, check_evidence, check_form, evidence
 from studiorecon.models.catalogue.card import HUB, Card, Memory, Runtime, Terms, WeightFile
-from studiorecon.models.catalogue.preflight import arrays_only, attribute, import_upstream, staged_weights, torch_device
+from studiorecon.models.catalogue.preflight import (
+    attribute,
+    failed,
+    import_upstream,
+    loading,
+    other_version,
+    staged_weights,
+    torch_device,
+)
 from studiorecon.models.protocols import KeyFrame
 from studiorecon.scene.camera import Camera
 
@@ -78,6 +86,7 @@ CARD = Card(
     ),
     tried="parts",
     unchecked="transformer-engine and apex; 48 GB of GPU memory",
+    instead="set views.gen3c.offload to true, or views.synthesizer to warp",
 )
 CARDS = (CARD,)
 
@@ -88,7 +97,6 @@ _NEAR, _FAR = 1.0, 10.0
 are made.
 """
 _WITHOUT_OFFLOAD_GB = 80.0
-_LOWER = "set views.gen3c.offload to true, or views.synthesizer to warp"
 
 
 def depth_scale(depths: Sequence[Float[np.ndarray, "H W"]]) -> float:
@@ -177,16 +185,10 @@ def _pose(camera: Camera, scale: float) -> np.ndarray:
 def postprocess(film: Integer[np.ndarray, "T 704 1280 3"], frames: int) -> Integer[np.ndarray, "T 704 1280 3"]:
     """The film, unchanged, after checks; raises UserError for another size, or a film without any content."""
     if film.dtype != np.uint8 or film.shape != (frames, *HW, 3):
-        raise UserError(
-            f"GEN3C returned {film.dtype} of shape {film.shape}, expected uint8 of "
-            f"{(frames, *HW, 3)}; use upstream at db2ffe1"
-        )
+        raise other_version(CARD, f"returned {film.dtype} of {film.shape}, expected uint8 of {(frames, *HW, 3)}")
     flat = [t for t in range(frames) if film[t, ::16, ::16].max() == film[t, ::16, ::16].min()]
     if flat:
-        raise UserError(
-            f"GEN3C returned a picture of one colour at frame {flat[0]}: it failed "
-            "there; run it again with another seed"
-        )
+        raise failed(CARD, f"returned a picture of one colour at frame {flat[0]}")
     return film
 
 
@@ -217,10 +219,10 @@ class Gen3c:
         cache = import_upstream(card, "cosmos_predict1.diffusion.inference.cache_3d")
         self._cache = attribute(card, cache, "Cache3D_BufferSelector")
         self._filters = {"filter_points_threshold": filter_points_threshold, "foreground_masking": foreground_masking}
-        self._device = torch_device(card, where, _LOWER, None if offload else _WITHOUT_OFFLOAD_GB)
+        self._device = torch_device(card, where, None if offload else _WITHOUT_OFFLOAD_GB)
         # The paper uses no prompts: without the encoder 45 GB of weights are saved. Guardrail and prompt upsampler are
         # off as in GEN3C's own script; the licence's clause on guardrails is on the card.
-        with arrays_only(card):
+        with loading(card, folder):
             self._pipeline = pipeline(
                 inference_type="video2world",
                 checkpoint_dir=str(folder),
@@ -304,10 +306,7 @@ def generate_chunks(
                 prompt="", image_path=seed, negative_prompt=None, rendered_warp_images=warped, rendered_warp_masks=masks
             )
         if made is None:
-            raise UserError(
-                f"GEN3C's guardrail stopped frames {first} to {first + CHUNK - 1}; run "
-                "another seed or views.synthesizer: warp"
-            )
+            raise failed(CARD, f"returned no frames {first} to {first + CHUNK - 1}: its guardrail stopped them")
         film = postprocess(np.asarray(made[0]), CHUNK)
         seed = torch.as_tensor(film[-1].transpose(2, 0, 1) / 127.5 - 1, dtype=torch.float32, device=where)[
             None, :, None

@@ -112,10 +112,10 @@ def _carried(request: dict[str, np.ndarray], index: int, target: tuple) -> tuple
 
 
 def check_form(request: dict[str, Shaped[np.ndarray, " ..."]]) -> None:
-    """Raises UserError for a request that GEN3C would misread: arrays, sizes, ranges, lengths, start, rotations."""
+    """Raises ValueError for a request that GEN3C would misread: arrays, sizes, ranges, lengths, start, rotations."""
     missing = [name for name in _FIELDS if name not in request]
     if missing:
-        raise UserError(f"the GEN3C request lacks {', '.join(missing)}")
+        raise ValueError(f"the GEN3C request lacks {', '.join(missing)}")
     images, depth, mask = (request[f"{n}_key_frames"] for n in ("images", "depth", "mask"))
     count, _, height, width = images.shape
     shapes: dict[str, tuple[object, object]] = {
@@ -126,26 +126,26 @@ def check_form(request: dict[str, Shaped[np.ndarray, " ..."]]) -> None:
     }
     for name, (given, wanted) in shapes.items():
         if given != wanted:
-            raise UserError(f"{name} of the GEN3C request has shape {given}, expected {wanted}")
+            raise ValueError(f"{name} of the GEN3C request has shape {given}, expected {wanted}")
     if not all(np.isfinite(request[name]).all() for name in _FIELDS):
-        raise UserError("the GEN3C request holds values that are no numbers; infinite depth must be 0 with mask 0")
+        raise ValueError("the GEN3C request holds values that are no numbers; infinite depth must be 0 with mask 0")
     if images.min() < -1 or images.max() > 1 or images.min() >= 0:
-        raise UserError(
+        raise ValueError(
             f"colours of the GEN3C request are in [{images.min():.2f}, {images.max():.2f}], expected [−1, 1]"
         )
     frames = len(request["w2cs_all"])
     if frames < CHUNK or frames % (CHUNK - 1) != 1:
-        raise UserError(f"the GEN3C request asks for {frames} frames; it must be 121, 241, 361, …")
+        raise ValueError(f"the GEN3C request asks for {frames} frames; it must be 121, 241, 361, …")
     for name in ("w2cs_key_frames", "w2cs_all"):
         turned = request[name][:, :3, :3].astype(np.float64)
         if np.abs(turned @ turned.transpose(0, 2, 1) - np.eye(3)).max() > 1e-4 or (np.linalg.det(turned) < 0).any():
-            raise UserError(f"{name} of the GEN3C request holds a matrix that is no rotation")
+            raise ValueError(f"{name} of the GEN3C request holds a matrix that is no rotation")
     if np.abs(request["w2cs_all"][0] - request["w2cs_key_frames"][0]).max() > 1e-5:
-        raise UserError("the GEN3C request does not start at its first key frame, which alone seeds the film")
+        raise ValueError("the GEN3C request does not start at its first key frame, which alone seeds the film")
     if np.abs(request["Ks_all"][0] - request["K_key_frames"][0]).max() > 1e-2:
-        raise UserError("the GEN3C request starts with other intrinsics than its first key frame has")
+        raise ValueError("the GEN3C request starts with other intrinsics than its first key frame has")
     if depth[mask > 0].min(initial=1.0) <= 0 or depth.max() > 100 or not (mask > 0).any():
-        raise UserError(
+        raise ValueError(
             "depth of the GEN3C request must be in (0, 100] where the mask is 1, and the mask must not be empty"
         )
 
@@ -188,7 +188,7 @@ def check_evidence(found: Evidence, most_error: float = 2.0, most_gap: float = 0
         raise UserError(
             "key frames of the GEN3C request disagree about depth by "
             f"{100 * found.depth_agreement:.0f} % in the median: depth has another "
-            "scale than the poses, or poses are camera-to-world; take both from one source"
+            "scale than the poses, or poses are camera-to-world"
         )
     worst = int(np.argmin(found.coverage))
     if found.coverage[worst] < least:

@@ -16,7 +16,7 @@ import numpy as np
 from studiorecon.errors import UserError
 from studiorecon.models.catalogue.card import HUB, Card, Memory, Runtime, Terms, WeightFile
 from studiorecon.models.catalogue.pickles import require_safe_pickles
-from studiorecon.models.catalogue.preflight import import_upstream, staged_weights, torch_device
+from studiorecon.models.catalogue.preflight import failed, import_upstream, staged_weights, torch_device
 from studiorecon.scene.gaussians import Gaussians
 
 if TYPE_CHECKING:
@@ -71,13 +71,13 @@ CARD = Card(
     memory=Memory(24.0, "LHM-1B 22 GB, 500M 18 GB, MINI 16 GB (upstream)"),
     tried="never",
     unchecked="pytorch3d, rasteriser, simple-knn; SMPL-X",
+    instead="give it another photo, or use a canonical .ply (a trained person of another capture)",
 )
 CARDS = (CARD,)
 
 
 MIN_PX = 300
 """Smallest height of the person in the photo: below it a face is a few pixels."""
-_LOWER = "use another canonical .ply (a trained person of another capture)"
 # Range of metres from sole to crown of a body in its rest pose, with arms below the head.
 _HEIGHTS_M = (1.2, 2.3)
 
@@ -124,16 +124,11 @@ def postprocess(read: Gaussians) -> Gaussians:
     values = (read.means_m, read.quaternions, read.log_scales, read.logit_opacities, read.sh)
     bad = np.any([~np.isfinite(v).reshape(read.count, -1).all(axis=1) for v in values], axis=0)
     if bad.mean() > 0.01:
-        raise UserError(
-            f"LHM returned {int(bad.sum())} of {read.count} Gaussians that are no "
-            "numbers; run it again with another photo"
-        )
+        raise failed(CARD, f"returned {int(bad.sum())} of {read.count} Gaussians that are no numbers")
     kept = read.take(~bad)
     tall = float(np.ptp(np.percentile(kept.means_m[:, 1], [0.5, 99.5])))
     if not _HEIGHTS_M[0] <= tall <= _HEIGHTS_M[1]:
-        raise UserError(
-            f"LHM's person is {tall:.2f} m high along y: not a body in its rest pose, or another version's axes"
-        )
+        raise failed(CARD, f"returned a person {tall:.2f} m high along y")
     bands = kept.sh.shape[1] - 1
     rest = kept.sh[:, 1:].transpose(0, 2, 1).reshape(kept.count, bands, 3)
     return Gaussians(
@@ -154,7 +149,7 @@ class Lhm:
         # Upstream unpickles bodies, hands and faces unchecked.
         require_safe_pickles(p for p in sorted((weights / "lhm").rglob("*")) if p.suffix in (".pkl", ".npz"))
         module = import_upstream(card, "LHM")
-        torch_device(card, where, _LOWER)
+        torch_device(card, where)
         self._checkout = Path(next(iter(module.__path__))).parent
 
     def avatar(self, photo: Integer[np.ndarray, "H W 3"], mask: Bool[np.ndarray, "H W"]) -> Gaussians:
@@ -209,9 +204,7 @@ def result_file(command: list[str], checkout: Path, out: Path) -> Path:
     found = sorted(out.rglob("*.ply"))
     if done.returncode or len(found) != 1:
         last = next((line for line in reversed(done.stdout.splitlines()) if line.strip()), "nothing was printed")
-        raise UserError(
-            f"LHM made no person of this photo (status {done.returncode}: {last[:200]}); choose another frame"
-        )
+        raise failed(CARD, f"made no person of this photo (status {done.returncode}: {last[:200]})")
     return found[0]
 
 

@@ -14,12 +14,12 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from studiorecon.errors import UserError
-from studiorecon.models.adapters.pi3 import LOWER, postprocess, preprocess
+from studiorecon.models.adapters.pi3 import INSTEAD, postprocess, preprocess
 from studiorecon.models.catalogue.card import HUB, Card, Memory, Runtime, Terms, WeightFile
 from studiorecon.models.catalogue.preflight import (
     attribute,
     import_upstream,
+    loading,
     require_finite,
     staged_weights,
     torch_device,
@@ -60,6 +60,7 @@ CARD = Card(
     memory=Memory(12.0, "four to sixteen views; our estimate, not a published figure"),
     tried="never",
     unchecked="its encoder, which only the image fetches",
+    instead=INSTEAD,
 )
 CARDS = (CARD,)
 
@@ -69,15 +70,12 @@ class MapAnything:
 
     def __init__(self, card: Card, weights: Path, where: str) -> None:
         folder = staged_weights(card, weights) / "mapanything"
-        self._device = torch_device(card, where, LOWER)
+        self._device = torch_device(card, where)
         network = attribute(card, import_upstream(card, "mapanything.models"), "MapAnything")
         checkout = Path(next(iter(import_upstream(card, "dinov2").__path__))).parent
-        try:
-            with encoder_from(checkout):
-                # Strict: weights missing in the staged file would stay random.
-                made = network.from_pretrained(str(folder), strict=True)
-        except RuntimeError as error:
-            raise UserError(f"{folder} does not fit {card.title} ({str(error).splitlines()[0]})") from None
+        with loading(card, folder), encoder_from(checkout):
+            # Strict: weights missing in the staged file would stay random.
+            made = network.from_pretrained(str(folder), strict=True)
         self._network = made.to(self._device).eval()
 
     def reconstruct(self, pictures: Sequence[Integer[np.ndarray, "H W 3"]], names: Sequence[str]) -> Reconstruction:
@@ -86,7 +84,7 @@ class MapAnything:
         made = infer(self._network, tensor, self._device)
         for what, values in zip(("points", "confidence", "poses"), made):
             require_finite(CARD, what, values)
-        return postprocess(*made, taken, names, metric=True)
+        return postprocess(*made, taken, names, CARD)
 
 
 @contextmanager

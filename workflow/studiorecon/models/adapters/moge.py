@@ -12,14 +12,22 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from studiorecon.errors import UserError
 from studiorecon.images.sizes import as_float
 from studiorecon.models.catalogue.card import HUB, Card, Memory, Runtime, Terms, WeightFile
-from studiorecon.models.catalogue.preflight import attribute, import_upstream, staged_weights, torch_device
+from studiorecon.models.catalogue.preflight import (
+    attribute,
+    failed,
+    import_upstream,
+    loading,
+    other_version,
+    staged_weights,
+    torch_device,
+)
 
 if TYPE_CHECKING:
     from jaxtyping import Bool, Float, Integer
 
+INSTEAD = "set depth.source to embedded"
 MOGE = Card(
     name="moge",
     title="MoGe-2 (ViT-L, normals)",
@@ -42,6 +50,7 @@ MOGE = Card(
     memory=Memory(6.0, "one picture at a time, ViT-L in half precision; our estimate"),
     tried="random weights",
     unchecked="a GPU",
+    instead=INSTEAD,
 )
 MOGE3 = Card(
     name="moge3",
@@ -65,6 +74,7 @@ MOGE3 = Card(
     memory=Memory(8.0, "one picture at a time; our estimate"),
     tried="never",
     unchecked="its newest source; FlexGEMM's kernels",
+    instead=INSTEAD,
 )
 CARDS = (MOGE, MOGE3)
 
@@ -90,17 +100,12 @@ def postprocess(
     Raises UserError when no depth remains or much is NaN.
     """
     if depth.shape != mask.shape or depth.ndim != 2:
-        raise UserError(f"{card.title} returned depth {depth.shape} and mask {mask.shape}; use upstream at its pin")
-    nan = int(np.isnan(depth).sum())
-    if nan:
-        raise UserError(
-            f"{card.title} returned {nan} depths that are no numbers; run it in full precision (device: cpu)"
-        )
+        raise other_version(card, f"returned depth {depth.shape} and mask {mask.shape}")
+    if nan := int(np.isnan(depth).sum()):
+        raise failed(card, f"returned {nan} depths that are no numbers")
     known = np.isfinite(depth) & (depth > 0) & mask
     if not known.any():
-        raise UserError(
-            f"{card.title} sees no surface in the whole picture; check the picture, or set depth.source to embedded"
-        )
+        raise failed(card, "sees no surface in the whole picture")
     return np.where(known, depth, 0).astype(np.float32)
 
 
@@ -110,13 +115,9 @@ class Moge:
     def __init__(self, card: Card, weights: Path, where: str) -> None:
         file = staged_weights(card, weights) / card.weights[0].path
         network = attribute(card, import_upstream(card, _MODULES[card.name]), "MoGeModel")
-        self._card, self._device = card, torch_device(card, where, "set depth.source to embedded")
-        try:
+        self._card, self._device = card, torch_device(card, where)
+        with loading(card, file):
             self._network = network.from_pretrained(str(file)).to(self._device).eval()
-        except (KeyError, TypeError, RuntimeError) as error:
-            raise UserError(
-                f"{file} is not a checkpoint of {card.title} ({str(error).splitlines()[0]}); run snakemake weights"
-            ) from None
 
     def depth(self, picture: Integer[np.ndarray, "H W 3"], focal_px: float | None) -> Float[np.ndarray, "H W"]:
         """Depth of one picture; see ``models.protocols.MonocularDepth``."""

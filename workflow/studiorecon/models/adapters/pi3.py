@@ -20,7 +20,9 @@ from studiorecon.images.sizes import as_float, resample
 from studiorecon.models.catalogue.card import HUB, Card, Memory, Runtime, Terms, WeightFile
 from studiorecon.models.catalogue.preflight import (
     attribute,
+    failed,
     import_upstream,
+    loading,
     require_finite,
     staged_weights,
     torch_device,
@@ -31,6 +33,7 @@ from studiorecon.scene.camera import Camera
 if TYPE_CHECKING:
     from jaxtyping import Bool, Float, Integer, Num
 
+INSTEAD = "give it fewer or smaller pictures, or a calibration (calibration.source: files) and depth.source: embedded"
 PI3 = Card(
     name="pi3",
     title="Pi3",
@@ -65,6 +68,7 @@ PI3 = Card(
     ),
     tried="random weights",
     unchecked="a GPU",
+    instead=INSTEAD,
 )
 PI3X = Card(
     name="pi3x",
@@ -98,6 +102,7 @@ PI3X = Card(
     memory=Memory(10.0, "four to sixteen views of 255 000 pixels; weights 5.4 GB (upstream benchmark)"),
     tried="random weights",
     unchecked="a GPU",
+    instead=INSTEAD,
 )
 CARDS = (PI3, PI3X)
 
@@ -111,7 +116,6 @@ EDGE = 0.03
 """Relative jump in depth between neighbours at which a point mixes two surfaces (upstream: rtol)."""
 _MIN_POINTS = 100
 _GIVEN = ("depth_encoder.", "depth_emb", "ray_embed.", "pose_inject_blk.")
-LOWER = "give it fewer or smaller pictures, or a calibration (calibration.source: files) and depth.source: embedded"
 
 
 @dataclass(frozen=True)
@@ -182,7 +186,7 @@ def postprocess(
     poses: Float[np.ndarray, "N 4 4"],
     taken: Sequence[Inset],
     names: Sequence[str],
-    metric: bool,
+    card: Card,
 ) -> Reconstruction:
     """Cameras and depth from points in camera frames, confidence in [0, 1] and world-from-camera poses.
 
@@ -191,9 +195,7 @@ def postprocess(
     """
     turned = poses[:, :3, :3].astype(np.float64)
     if np.abs(turned @ turned.transpose(0, 2, 1) - np.eye(3)).max() > 1e-2 or (np.linalg.det(turned) < 0).any():
-        raise UserError(
-            "the network returned a pose that is no rotation; use upstream at the pin in the table of models"
-        )
+        raise failed(card, "returned a pose that is no rotation")
     first = np.linalg.inv(poses[0].astype(np.float64))
     cameras, depths, kept, residuals = [], [], [], []
     for own, sure, pose, inset, name in zip(points, confidence, poses, taken, names):
@@ -216,7 +218,7 @@ def postprocess(
         depths.append(np.where(usable, depth, 0).astype(np.float32))
         kept.append(np.where(usable, sure, 0).astype(np.float32))
         residuals.append(residual)
-    return Reconstruction(cameras, depths, kept, residuals, metric)
+    return Reconstruction(cameras, depths, kept, residuals, metric=card is not PI3)
 
 
 def _rigid(pose: np.ndarray) -> np.ndarray:
@@ -232,19 +234,17 @@ class Pi3:
 
     def __init__(self, card: Card, weights: Path, where: str) -> None:
         file = staged_weights(card, weights) / card.weights[0].path
-        self._card, self._device = card, torch_device(card, where, LOWER)
+        self._card, self._device = card, torch_device(card, where)
         network = attribute(card, import_upstream(card, f"pi3.models.{card.name}"), card.title)
         state = attribute(card, import_upstream(card, "safetensors.torch"), "load_file")(str(file))
         self._network = network()
-        try:
+        with loading(card, file):
             if card is PI3X:
                 # Branches for given depth, rays and poses, which are not used here: upstream's own example drops them
                 # too. Without them every entry has to fit.
                 self._network.disable_multimodal()
                 state = {key: value for key, value in state.items() if not key.startswith(_GIVEN)}
             self._network.load_state_dict(state)
-        except RuntimeError as error:
-            raise UserError(f"{file} does not fit {card.title} ({str(error).splitlines()[0]})") from None
         self._network.to(self._device).eval()
 
     def reconstruct(self, pictures: Sequence[Integer[np.ndarray, "H W 3"]], names: Sequence[str]) -> Reconstruction:
@@ -253,7 +253,7 @@ class Pi3:
         made = infer(self._network, tensor, self._device)
         for what, values in zip(("points", "confidence", "poses"), made):
             require_finite(self._card, what, values)
-        return postprocess(*made, taken, names, metric=self._card is PI3X)
+        return postprocess(*made, taken, names, self._card)
 
 
 def infer(

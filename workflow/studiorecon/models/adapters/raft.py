@@ -9,11 +9,11 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from studiorecon.errors import UserError
 from studiorecon.models.catalogue.card import Card, Memory, Runtime, Terms, WeightFile
 from studiorecon.models.catalogue.preflight import (
     attribute,
     import_upstream,
+    loading,
     require_finite,
     staged_weights,
     torch_device,
@@ -41,6 +41,7 @@ CARD = Card(
     memory=Memory(None, "runs on a CPU; on a GPU 1 GB at 1280×704, 5.6 GB at 1920×1080"),
     tried="random weights",
     unchecked="a GPU",
+    instead="set enhance.flow to dis",
 )
 CARDS = (CARD,)
 
@@ -107,14 +108,10 @@ class Raft:
         build = attribute(card, import_upstream(card, "torchvision.models.optical_flow"), "raft_large")
         import torch
 
-        self._device = torch_device(card, where, "set enhance.flow to dis")
+        self._device = torch_device(card, where)
         self._network = build(weights=None, progress=False)
-        try:
+        with loading(card, file):
             self._network.load_state_dict(torch.load(file, map_location="cpu", weights_only=True))
-        except Exception as error:
-            raise UserError(
-                f"{file} is not RAFT's state dict ({type(error).__name__}); delete it and run snakemake weights"
-            ) from None
         self._network.eval().to(self._device)
 
     def flow(

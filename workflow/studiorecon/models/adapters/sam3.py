@@ -14,9 +14,14 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from studiorecon.errors import UserError
 from studiorecon.models.catalogue.card import HUB, Card, Memory, Runtime, Terms, WeightFile
-from studiorecon.models.catalogue.preflight import attribute, import_upstream, staged_weights, torch_device
+from studiorecon.models.catalogue.preflight import (
+    attribute,
+    import_upstream,
+    other_version,
+    staged_weights,
+    torch_device,
+)
 from studiorecon.progress import warn
 
 if TYPE_CHECKING:
@@ -57,13 +62,13 @@ CARD = Card(
     ),
     tried="random weights",
     unchecked="its processor's files; kernels",
+    instead="lower masks.sam3.chunk, or set masks.source to embedded",
 )
 CARDS = (CARD,)
 
 
 PROMPT = "person"
 """The paper's prompt."""
-_LOWER = "lower masks.sam3.chunk, or set masks.source to embedded"
 # Two masks of the shared frame are one person when they share this part of their union.
 _SAME = 0.5
 
@@ -99,9 +104,7 @@ def postprocess(
     Raises UserError for another size.
     """
     if masks.shape != (len(ids), *hw) or scores.shape != ids.shape:
-        raise UserError(
-            f"SAM 3 returned masks {masks.shape} for {len(ids)} objects in frames of {hw}; use transformers at its pin"
-        )
+        raise other_version(CARD, f"returned masks {masks.shape} for {len(ids)} objects in frames of {hw}")
     labels = np.zeros(hw, np.int64)
     for k in np.argsort(scores, kind="stable"):
         labels[masks[k]] = ids[k] + 1
@@ -150,7 +153,7 @@ class Sam3:
         network, processor = (attribute(card, module, name) for name in ("Sam3VideoModel", "Sam3VideoProcessor"))
         import torch
 
-        self._device, self._chunk, self._prompt = torch_device(card, where, _LOWER), chunk, prompt
+        self._device, self._chunk, self._prompt = torch_device(card, where), chunk, prompt
         kind = torch.bfloat16 if self._device.type == "cuda" else torch.float32
         self._network = network.from_pretrained(folder, dtype=kind, local_files_only=True).to(self._device).eval()
         self._processor = processor.from_pretrained(folder, local_files_only=True)

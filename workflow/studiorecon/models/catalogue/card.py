@@ -100,7 +100,7 @@ class Card:
 
     ``tried``: the extent of tests here. With "random weights" upstream's own code ran through the adapter, with "parts"
     some of it; real weights never did. ``unchecked``: the parts that need a GPU, a gated file or an unreachable source
-    to check.
+    to check. ``instead``: what a user can do where the network fails or does not fit in memory.
     """
 
     name: str
@@ -112,3 +112,4 @@ class Card:
     memory: Memory
     tried: Literal["random weights", "parts", "never"]
     unchecked: str
+    instead: str = ""

@@ -63,6 +63,11 @@ def repository_code(folder: Path, files: Iterable[WeightFile]) -> list[WeightFil
     return found
 
 
+def other_file(path: Path, found: str) -> UserError:
+    """The refusal of weights that are not their publisher's."""
+    return UserError(f"{path} {found}: it is damaged or another version; delete it and get it again")
+
+
 def verify(folder: Path, file: WeightFile, pins: dict[str, Any]) -> dict[str, Any]:
     """The pin of a file, hashed if it is new or modified; raises UserError when the hash differs."""
     path = folder / file.path
@@ -73,10 +78,7 @@ def verify(folder: Path, file: WeightFile, pins: dict[str, Any]) -> dict[str, An
     found = digest(path)
     expected = file.sha256 or (pin["sha256"] if pin else "")
     if expected and not found.startswith(expected):
-        raise UserError(
-            f"{path} has SHA-256 {found[:12]}…, expected {expected[:12]}…: it is damaged or "
-            "another version; delete it and get it again"
-        )
+        raise other_file(path, f"has SHA-256 {found[:12]}…, expected {expected[:12]}…")
     if file.md5 and digest(path, "md5") != file.md5:
-        raise UserError(f"{path} has another MD5 than its publisher states ({file.md5}); delete it and get it again")
+        raise other_file(path, f"has another MD5 than its publisher states ({file.md5})")
     return {"sha256": found, "bytes": about.st_size, "modified_ns": about.st_mtime_ns}

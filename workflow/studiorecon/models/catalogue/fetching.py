@@ -16,7 +16,7 @@ from typing import Any
 from studiorecon.errors import UserError
 from studiorecon.machine.libraries import install_remedy
 from studiorecon.models.catalogue.card import WeightFile
-from studiorecon.models.catalogue.checksums import git_blob_hash
+from studiorecon.models.catalogue.checksums import git_blob_hash, other_file
 from studiorecon.models.catalogue.sandbox import allow_fetching
 from studiorecon.progress import warn
 
@@ -98,7 +98,7 @@ def _from_hub(file: WeightFile, target: Path) -> str:
     stated = str(hub.get_hf_file_metadata(address).etag or "")
     # For large files the hub states the SHA-256, for small ones git's hash of their content.
     if len(stated) == 40 and stated != git_blob_hash(target):
-        raise UserError(f"{target} is not what its publisher has; delete it and run this again")
+        raise other_file(target, f"is not what {file.repository} has")
     return stated if len(stated) == 64 else ""
 
 
@@ -108,9 +108,7 @@ def _verify_published(hub: Any, file: WeightFile, place: Path) -> None:
     for entry in about.siblings:
         path = place / entry.rfilename
         if not entry.lfs and path.is_file() and entry.blob_id != git_blob_hash(path):
-            raise UserError(
-                f"{path} is not what {file.repository} has at {file.revision[:12]}; delete it and run this again"
-            )
+            raise other_file(path, f"is not what {file.repository} has at {file.revision[:12]}")
 
 
 def _remove(folder: Path) -> None:

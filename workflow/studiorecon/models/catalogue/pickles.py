@@ -16,7 +16,7 @@ from typing import IO, Any
 
 import numpy as np
 
-from studiorecon.errors import UserError
+from studiorecon.models.catalogue.checksums import other_file
 from studiorecon.scene.user_files import refuse_pickle_bomb
 
 # The only names that a pickle may use, by the last part of their module: constructors of arrays and of empty objects.
@@ -73,10 +73,8 @@ def require_safe_pickles(paths: Iterable[Path]) -> None:
                 with open(path, "rb") as stream:
                     read_arrays(stream)
         except Exception as error:  # unpickling foreign bytes can raise any error
-            raise UserError(
-                f"{path} is not a file of plain or chumpy arrays ({type(error).__name__}: {error}), and would be "
-                "unpickled; get it again from its publisher"
-            ) from None
+            what = f"{type(error).__name__}: {error}"
+            raise other_file(path, f"is no file of plain or chumpy arrays ({what}), and would be unpickled") from None
 
 
 def _vetted_array(stream: IO[bytes]) -> None:

@@ -20,6 +20,7 @@ from studiorecon.models.catalogue.card import Card
 from studiorecon.models.catalogue.checksums import PINS, read_pins, repository_code, verify, write_pins
 from studiorecon.models.catalogue.sandbox import confine_process
 from studiorecon.progress import say, warn
+from studiorecon.scene.user_files import first_line
 
 if TYPE_CHECKING:
     from jaxtyping import Num
@@ -70,7 +71,7 @@ def import_upstream(card: Card, module: str) -> Any:
     except ImportError as error:
         raise UserError(
             f"{card.title} needs the module {module}, which cannot be imported here "
-            f"({str(error).splitlines()[0]}); run in the image "
+            f"({first_line(error)}); run in the image "
             f"{card.runtime.image} (--sdm apptainer), which has {pins}, upstream at {card.runtime.commit}"
         ) from None
 
@@ -78,32 +79,38 @@ def import_upstream(card: Card, module: str) -> Any:
 def attribute(card: Card, module: Any, wanted: str) -> Any:
     """``module.wanted``; raises UserError with the pin when upstream no longer has it."""
     if not hasattr(module, wanted):
-        raise UserError(
-            f"{module.__name__} has no {wanted}, so this is another version than the "
-            f"one {card.title}'s adapter follows; "
-            f"use upstream at {card.runtime.commit}"
-        )
+        raise other_version(card, f"has no {wanted} in {module.__name__}")
     return getattr(module, wanted)
 
 
+def other_version(card: Card, found: str) -> UserError:
+    """The refusal of a package, or of an answer, that is not as the adapter expects it."""
+    return UserError(
+        f"{card.title} {found}: its adapter follows another version; use upstream at {card.runtime.commit}"
+    )
+
+
+def failed(card: Card, found: str) -> UserError:
+    """The refusal of an unusable answer."""
+    return UserError(f"{card.title} {found}; {card.instead}")
+
+
 @contextmanager
-def arrays_only(card: Card) -> Iterator[None]:
-    """Context for upstream's loading: a checkpoint with more than arrays (``sandbox``) gives a UserError."""
+def loading(card: Card, path: Path) -> Iterator[None]:
+    """Context for loading ``path``: weights of another network, or more than arrays (``sandbox``), give a UserError."""
     try:
         yield
-    except pickle.UnpicklingError as error:
+    except (pickle.UnpicklingError, KeyError, TypeError, RuntimeError) as error:
         raise UserError(
-            f"a checkpoint of {card.title} holds more than arrays ({str(error).splitlines()[0]}), which would be run "
-            "when it is read; get it again from its publisher"
+            f"{path} are no weights of {card.title} ({first_line(error)}); delete them and run snakemake weights"
         ) from None
 
 
-def torch_device(card: Card, wanted: str, lower: str, needed: float | None = None) -> Any:
+def torch_device(card: Card, wanted: str, needed: float | None = None) -> Any:
     """The torch device to run a network on, after a check of its free memory; ``wanted``: "auto", "cuda" or "cpu".
 
     "auto" takes a GPU, and the CPU only for networks that need none. Raises UserError when there is no such GPU, or
-    less memory is free than the model needs; ``lower`` names a setting that would help. ``needed``: gigabytes, if not
-    the card's.
+    less memory is free than the model needs. ``needed``: gigabytes, if not the card's.
     """
     import torch
 
@@ -113,13 +120,13 @@ def torch_device(card: Card, wanted: str, lower: str, needed: float | None = Non
     if not torch.cuda.is_available():
         raise UserError(
             f"{card.title} runs on a GPU and torch sees none here; run this job where there is "
-            f"one, set device to cpu and wait, or {lower}"
+            f"one, set device to cpu and wait, or {card.instead}"
         )
     free_gb = torch.cuda.mem_get_info()[0] / 1e9
     if needed is not None and free_gb < needed:
         raise UserError(
             f"{card.title} needs {needed:.0f} GB of GPU memory ({card.memory.note}) "
-            f"and {free_gb:.0f} GB are free; {lower}"
+            f"and {free_gb:.0f} GB are free; {card.instead}"
         )
     return torch.device("cuda")
 
@@ -128,8 +135,5 @@ def require_finite(card: Card, what: str, values: Num[np.ndarray, " ..."]) -> Nu
     """``values`` unchanged; raises UserError when a network returned non-finite numbers."""
     bad = int(np.size(values) - np.isfinite(values).sum())
     if bad:
-        raise UserError(
-            f"{card.title} returned {bad} values of {what} that are no numbers; run "
-            "it in full precision or on other input"
-        )
+        raise failed(card, f"returned {bad} values of {what} that are no numbers")
     return values
