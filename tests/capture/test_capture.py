@@ -162,7 +162,7 @@ class TestRefusals:
 
     def test_a_camera_without_calibration(self, tmp_path: Path, run_frames) -> None:
         write_lossless(tmp_path / "a.mkv", iter(smooth_pictures(2)), 30)
-        with pytest.raises(UserError, match="has no camera b; it has a"):
+        with pytest.raises(UserError, match="has no camera b, but a"):
             run_frames(tmp_path / "a.mkv", camera="b")
 
 
@@ -229,7 +229,5 @@ class TestManifest:
         assert ([f.camera for f in manifest.training], [f.camera for f in manifest.held_out]) == (["b"], ["a"])
 
     def test_footage_of_two_lengths_was_decoded_by_two_clocks(self, run) -> None:
-        with pytest.raises(
-            UserError, match=r"b\.mp4 has 58 frames at 30 per second and videos/a\.mp4 60.*run capture\.frames again"
-        ):
+        with pytest.raises(UserError, match=r"b\.json .*it has 58 frames at 30 per second.*delete it"):
             run(footage("a"), footage("b", frames=58))

@@ -360,7 +360,7 @@ def test_a_fit_of_another_body_is_not_delivered(tmp_path: Path, person: Person, 
     assert sorted(p.name for p in written) == [f"p2.{ending}" for ending in endings]
     assert all(p.stat().st_size > 1000 for p in written)
     other = Person(**{**vars(person), "body": "smpl_neutral"})
-    with pytest.raises(UserError, match=r"p2 was fitted with the body model smpl_neutral.*use the same body file"):
+    with pytest.raises(UserError, match=r"p2 is of the body model smpl_neutral.*use the same body file"):
         write_motion(tmp_path, other, body)
 
 

@@ -171,7 +171,7 @@ class TestStep:
         self, scene: Scene, settings: step.Settings, files: dict, tmp_path: Path
     ) -> None:
         write_person(tmp_path / "p1.npz", standing("p1", scene.body.identity, np.zeros((3, 2))))
-        with pytest.raises(UserError, match=r"p1\.npz holds 3 frames.*run people\.fit again"):
+        with pytest.raises(UserError, match=r"p1\.npz .*it has 3 frames.*delete it"):
             call(step.run, settings, **files)
 
     def test_a_camera_outside_the_model_is_refused(self, settings: step.Settings, files: dict) -> None:

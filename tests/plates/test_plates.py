@@ -176,6 +176,9 @@ class TestPlate:
         given = smooth_pictures(1, seed=9)[0]
         with pytest.raises(UserError, match=r"given\.png differs from the footage of camera a by \d+ grey levels"):
             plate_of(tmp_path, settings, given)
+        plate_of(tmp_path, settings, frames[0])
+        (tmp_path / "given.png").unlink()
+        plate_of(tmp_path, settings)
 
 
 def boxed(there: np.ndarray) -> Detections:

@@ -120,7 +120,7 @@ ROWS: list[tuple[Any, ...]] = [
     (f"{COMPARE} compare", compared("inputs", "truth", "a", "0" * 64), SAME),
     ("report/metrics/films.py first_frames 1", film_path(FRAMES, "x"), film_path(FRAMES)),
     ("report/metrics/films.py first_frames 2", film_path(FRAMES - 1), film_path(FRAMES)),
-    ("results.py load 1", lambda at: studiorecon.load(at / "gone"), loaded),
+    ("results.py load", lambda at: studiorecon.load(at / "gone"), loaded),
     ("results.py draw 1", drawn(0, ("p7",)), drawn(0, ("p0",)), drawn(0, ("room",))),
     ("results.py draw 2", drawn(99), drawn(0), drawn(FRAMES - 1)),
     ("body/model.py BodyModel.load", lambda at: studiorecon.load(results(at / "x", ROOT, 1), body=at / "gone.npz"),

@@ -180,6 +180,9 @@ def test_a_brought_film_must_fit_the_path(files: tuple) -> None:
         UserError, match=r"has 5 pictures for 121 views of segment 00; set views\.views_per_segment to 4"
     ):
         fitted.run(settings, "00", folder / "few.mkv", *common, [], None, [], *out)
+    steps, fps = read_path(common[0])
+    write_path(folder / "five.json", steps[:5], fps)  # as views_per_segment: 4 would
+    fitted.run(settings, "00", folder / "few.mkv", folder / "five.json", *common[1:], [], None, [], *out)
     camera = Camera("x", WH, np.eye(3), np.eye(4))
     with pytest.raises(UserError, match="80×60; they must be 160×88"):
         fitted.fit_picture(np.zeros((60, 80, 3), np.uint8), camera, [NETWORK_HW], 3)

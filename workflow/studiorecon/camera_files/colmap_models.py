@@ -26,19 +26,17 @@ _GENERIC_FOLDERS = {"images", "input", "rgb", "frames", ".", ""}
 
 
 def posed_pictures(files: Sequence[Path]) -> list[RawCamera]:
-    """Camera of every picture of the model ``files``, in order of picture ids, named by ``camera_name``.
+    """Camera of every picture with a pose of the model ``files``, in order of picture ids, named by ``camera_name``.
 
     ``files`` are cameras, images, and rigs and frames where the model has them. Raises UserError for files that COLMAP
-    cannot read or that are truncated, for lens models that this project lacks, and for pictures without a pose.
+    cannot read or that are truncated, for lens models that this project lacks.
     """
     folder = files[0].parent
     model = _read(files)
     cameras = []
-    for index in sorted(model.images):
+    for index in sorted(index for index, image in model.images.items() if image.has_pose):
         image = model.images[index]
         where = f"picture {image.name} of the COLMAP model in {folder}"
-        if not image.has_pose:
-            raise UserError(f"{where} has no pose; let COLMAP register it, or take it out of the model")
         wh, intrinsics, kind, distortion = _lens(model.cameras[image.camera_id], folder)
         block = image.cam_from_world().matrix()
         pose, _ = rigid_camera_from_world(block[:, :3], block[:, 3], where)

@@ -125,11 +125,8 @@ def run(
     sha256, damaged = digest(opened), list[int]()
     # Decode to the very end when all frames are used, so that a truncated recording is noticed.
     whole = not frame_count and used[-1] >= clock.frames - 1
-    try:
-        pictures = working_frames(opened, view, used, whole, damaged)
-        frames = write_lossless(video, pictures, common.fps, camera_title(camera, sha256))
-    except MemoryError:
-        raise UserError(f"{source} is too large to decode in memory; lower capture.width") from None
+    pictures = working_frames(opened, view, used, whole, damaged)
+    frames = write_lossless(video, pictures, common.fps, camera_title(camera, sha256))
     changes = describe_changes(opened, lens, view, used, common.late_frames(camera))
     if damaged:
         changes.append(damage_note(damaged, opened.frames))

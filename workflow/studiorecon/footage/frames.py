@@ -17,7 +17,7 @@ from av.video.reformatter import VideoReformatter
 
 from studiorecon.errors import UserError
 from studiorecon.footage.container import film_stream, open_container
-from studiorecon.footage.source import FootageSource
+from studiorecon.footage.source import FootageSource, film_context
 from studiorecon.footage.stills import read_image
 from studiorecon.footage.timing import DamagedFrameError, film_frames, shown_frames
 from studiorecon.machine.resource_errors import lacks_thread
@@ -245,7 +245,7 @@ def _video_frames(source: FootageSource, damaged: list[int] | None = None) -> It
             begin += part.frames
         return
     done, last = 0, None
-    try:
+    with film_context(source.path):
         shown = _of_one_size(source, film_frames(source.path))
         for frame in source.form.without_fields(shown):
             number = int(np.searchsorted(source.times_s, frame.time - _TICK_S)) if source.carried else done
@@ -256,12 +256,8 @@ def _video_frames(source: FootageSource, damaged: list[int] | None = None) -> It
             if number == done < source.frames:
                 done, last = done + 1, frame
                 yield frame
-    except av.FFmpegError as error:
-        if lacks_thread(error):
-            raise
-        raise UserError(f"{source.path} cannot be read ({error.strerror or error}); copy it again") from None
-    if last is None:
-        raise UserError(f"{source.path} holds no frames that can be decoded; copy the recording again")
+        if last is None:
+            raise ValueError("no frame can be decoded")
     for number in range(done, source.frames):
         damaged.append(number)
         yield last

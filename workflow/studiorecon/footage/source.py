@@ -128,7 +128,7 @@ def _joined(path: Path, parts: Sequence[FootageSource]) -> FootageSource:
 def _open_film(path: Path, stamp: tuple[int, int]) -> FootageSource:
     """The film at ``path``; every packet is examined, once per version of the file."""
     form, notes = _probe_first_frame(path, stamp)
-    with _as_film(path):
+    with film_context(path):
         timing = read_timing(path)
     frames = len(timing.times_s)
     if frames == 1:
@@ -149,20 +149,17 @@ def _open_film(path: Path, stamp: tuple[int, int]) -> FootageSource:
 @lru_cache(maxsize=64)
 def _probe_first_frame(path: Path, _: tuple[int, int]) -> tuple[StoredFormat, tuple[str, ...]]:
     """How the frames of a film are stored, by its header and its first picture, and sentences about that."""
-    with _as_film(path), open_container(path) as container:
+    with film_context(path), open_container(path) as container:
         streams = film_streams(container)
         if not streams:
             kinds = "sound" if container.streams.audio else "none"
             raise UserError(f"{path} holds no video ({kinds} only); put the camera's video there")
         width, height = streams[0].width, streams[0].height
         if width * height > _MAX_PIXELS:
-            raise UserError(
-                f"{path} declares pictures of {width}×{height}, larger than any camera's: its header is damaged; "
-                "copy the recording again"
-            )
+            raise ValueError(f"its header declares pictures of {width}×{height}, larger than any camera's")
         first = next(shown_frames(container, film_stream(container)), None)
         if first is None:
-            raise UserError(f"{path} holds no frames that can be decoded; copy the recording again")
+            raise ValueError("no frame can be decoded")
         form, notes = stored_format(streams[0], first)
         if len(streams) > 1:
             sizes = ", ".join(f"{s.index} ({s.width}×{s.height})" for s in streams[1:])
@@ -171,7 +168,7 @@ def _probe_first_frame(path: Path, _: tuple[int, int]) -> tuple[StoredFormat, tu
 
 
 @contextmanager
-def _as_film(path: Path) -> Iterator[None]:
+def film_context(path: Path) -> Iterator[None]:
     """A context in which errors of the film library become a UserError that names the film."""
     try:
         yield

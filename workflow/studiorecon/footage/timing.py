@@ -75,8 +75,8 @@ class _Decoded:
 def read_timing(path: Path) -> Timing:
     """The timing of the film in ``path``: from its packets if its first and last frames agree with them.
 
-    Else it is that of the undamaged frames after decoding all of it. Raises UserError naming the file when nothing can
-    be decoded, or neither its times nor its header give a rate.
+    Else it is that of the undamaged frames after decoding all of it. Raises ValueError when nothing can be decoded,
+    UserError naming the file when neither its times nor its header give a rate.
     """
     with open_container(path) as container:
         stream = film_stream(container)
@@ -96,7 +96,7 @@ def read_timing(path: Path) -> Timing:
         found = [t for t in (decoded.times_s, packets.shown_s, packets.decoded_s) if len(t) == count and _ascending(t)]
         carried, times = _ascending(decoded.times_s), found[0] if found else decoded.times_s
     if not count:
-        raise UserError(f"{path} holds no frames that can be decoded; copy the recording again")
+        raise ValueError("no frame can be decoded")
     notes = []
     announced = max(announced - packets.hidden, len(packets.shown_s), count)
     if other is not None:

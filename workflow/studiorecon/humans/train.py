@@ -18,7 +18,6 @@ import numpy as np
 from studiorecon import code
 from studiorecon.body.avatar.avatar_files import Avatar, write_avatar
 from studiorecon.body.avatar.control_points import ControlPoints
-from studiorecon.body.avatar.posing import MAX_SH_DEGREE
 from studiorecon.body.avatar.temporal import TemporalNetwork
 from studiorecon.body.hands import posed_skeleton
 from studiorecon.body.model import BodyModel
@@ -151,11 +150,6 @@ def _crops(
 
 def _person_index(settings: Settings, person: str, people: Path) -> int:
     """Index of the person in ``people``; UserError for contradictory settings or an unknown name."""
-    if settings.sh_degree > MAX_SH_DEGREE:
-        raise UserError(
-            f"humans.sh_degree is {settings.sh_degree}; moving Gaussians rotate "
-            f"harmonics up to degree {MAX_SH_DEGREE} only"
-        )
     if settings.densify.use != "none" and settings.temporal.use != "never" and settings.temporal.points:
         raise UserError(
             "humans.densify.use is gradient, and humans.temporal.points evaluates the temporal network at points, "
