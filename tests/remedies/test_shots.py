@@ -28,57 +28,22 @@ KEYS = [{"picture": 0, "camera": "cam0"}, {"picture": 5, "camera": "cam1"}]
 ROWS: dict[str, tuple[dict[str, Any], tuple[int, int], str, dict[str, Any], tuple[int, int]]] = {
     "unknown kind": ({"kind": "orbits"}, (4, 0), "render/kinds.py read_film_settings", {"kind": "orbit"}, (4, 0)),
     "held-out": ({"kind": "heldout"}, (4, 0), "render/planning.py plan_steps 2", {"kind": "heldout"}, (3, 1)),
-    "one camera": (
-        {"kind": "spline"},
-        (1, 0),
-        "render/keyframes.py from_camera_to_camera",
-        {"kind": "spline", "keys": [KEYS[0], KEYS[0] | {"picture": 4}]},
-        (1, 0),
-    ),
+    "one camera": ({"kind": "spline"}, (1, 0), "render/keyframes.py from_camera_to_camera",
+        {"kind": "spline", "keys": [KEYS[0], KEYS[0] | {"picture": 4}]}, (1, 0)),
     "nothing to go around": ({"kind": "orbit"}, (1, 0), "render/orbit.py orbit_steps", {"kind": "orbit"}, (2, 0)),
-    "a lost path": (
-        {"kind": "path", "file": "gone"},
-        (4, 0),
-        "render/path_file.py path_steps 1",
-        {"kind": "path", "file": RIGID},
-        (4, 0),
-    ),
-    "one key": (
-        {"kind": "spline", "keys": KEYS[:1]},
-        (4, 0),
-        "render/keyframes.py read_keys",
-        {"kind": "spline", "keys": KEYS},
-        (4, 0),
-    ),
-    "nobody's name": (
-        {"kind": "orbit", "target": "p7"},
-        (4, 0),
-        "render/look_at_targets.py LookAtTargets._of",
-        {"kind": "orbit", "target": "p0"},
-        (4, 0),
-    ),
-    "no such camera": (
-        {"kind": "oscillate", "camera": "x"},
-        (4, 0),
-        "render/moves.py camera_named",
-        {"kind": "oscillate", "camera": "cam0"},
-        (4, 0),
-    ),
-    "too near": (
-        {"kind": "dolly_zoom", "camera": "cam1", "distances": [1.0, 0.01]},
-        (4, 0),
-        "render/moves.py dolly_zoom_steps",
-        {"kind": "dolly_zoom", "camera": "cam1", "distances": [1.0, 0.5]},
-        (4, 0),
-    ),
-    "a scaled pose": (
-        {"kind": "path", "file": SCALED},
-        (4, 0),
-        "render/path_file.py _of_transforms",
-        {"kind": "path", "file": RIGID},
-        (4, 0),
-    ),
-}
+    "a lost path": ({"kind": "path", "file": "gone"}, (4, 0), "render/path_file.py path_steps 1",
+        {"kind": "path", "file": RIGID}, (4, 0)),
+    "one key": ({"kind": "spline", "keys": KEYS[:1]}, (4, 0), "render/keyframes.py read_keys",
+        {"kind": "spline", "keys": KEYS}, (4, 0)),
+    "nobody's name": ({"kind": "orbit", "target": "p7"}, (4, 0), "render/look_at_targets.py LookAtTargets._of",
+        {"kind": "orbit", "target": "p0"}, (4, 0)),
+    "no such camera": ({"kind": "oscillate", "camera": "x"}, (4, 0), "render/moves.py camera_named",
+        {"kind": "oscillate", "camera": "cam0"}, (4, 0)),
+    "too near": ({"kind": "dolly_zoom", "camera": "cam1", "distances": [1.0, 0.01]}, (4, 0),
+        "render/moves.py dolly_zoom_steps", {"kind": "dolly_zoom", "camera": "cam1", "distances": [1.0, 0.5]}, (4, 0)),
+    "a scaled pose": ({"kind": "path", "file": SCALED}, (4, 0), "render/path_file.py _of_transforms",
+        {"kind": "path", "file": RIGID}, (4, 0)),
+}  # fmt: skip
 
 
 def planned(shot: dict[str, Any], counts: tuple[int, int], folder: Path) -> Sequence[PathStep]:
