@@ -11,7 +11,6 @@ from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
 import numpy as np
-from scipy.stats import norm
 
 from studiorecon.detector.blazepose import Landmarks
 from studiorecon.detector.frame_detection import Detector, landmark_confidence
@@ -77,7 +76,7 @@ def _upright_nats(seen: Landmarks, moved: Float[np.ndarray, "h w"] | None, hw: t
         place = np.floor(seen.keypoints[:, :2] * size / hw[::-1]).astype(int)
         place = place[((place >= 0) & (place < size)).all(1)]
         times = np.log(max(float(moved[place[:, 1], place[:, 0]].mean()), 1.0)) if len(place) else 0.0
-        moving, still = (norm.pdf(times, *about) for about in (_MOVING, _STILL))
+        moving, still = (np.exp(-(((times - mean) / sigma) ** 2) / 2) / sigma for mean, sigma in (_MOVING, _STILL))
         person = (1 - _STILL_PEOPLE) * moving + _STILL_PEOPLE * still
         nats += float(np.log(person / (_PASSED_FURNITURE * moving + (1 - _PASSED_FURNITURE) * still)))
     return float(np.logaddexp(nats, 0.0))

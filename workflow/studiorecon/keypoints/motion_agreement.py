@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING
 
 import cv2
 import numpy as np
-from scipy import stats
+from scipy.special import ndtri, stdtr
 
 from studiorecon.keypoints.coordinate_readings import apply_reading
 from studiorecon.keypoints.motion import Motion
@@ -81,7 +81,7 @@ def _sigmas(values: np.ndarray) -> float:
 def _normal_sigmas(values: np.ndarray) -> float:
     """The deviation of a normal distribution that is as rare as the mean: that of few frames is Student's."""
     pairs = int(np.isfinite(values).sum()) // 2
-    return float(stats.norm.isf(stats.t.sf(_sigmas(values), pairs - 1))) if pairs > 1 else 0.0
+    return float(-ndtri(stdtr(pairs - 1, -_sigmas(values)))) if pairs > 1 else 0.0
 
 
 @dataclass(frozen=True)

@@ -8,7 +8,7 @@ from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING
 
 import numpy as np
-from scipy.stats import chi2
+from scipy.special import chdtri
 
 from studiorecon.estimate.factor import Factor
 from studiorecon.estimate.factors.bones import bone_factors
@@ -140,7 +140,7 @@ def add_room_evidence(
     rig = replace(found.rig, cameras=cameras)
     after = estimate_once(rig, found.radial, knowledge, template_m, found.noise, room, found.points_m)
     numbers = int(found.solution.free[: PER_CAMERA * len(cameras)].sum())
-    return after, bool(after.people_cost - found.people_cost <= chi2.ppf(_LEVEL, numbers))
+    return after, bool(after.people_cost - found.people_cost <= chdtri(numbers, 1 - _LEVEL))
 
 
 def _group_people(

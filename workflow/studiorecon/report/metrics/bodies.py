@@ -53,7 +53,7 @@ def inside_sigma_share(
     known = np.isfinite(sigma_m) & (sigma_m > 0)
     if not known.any():
         return None
-    radius = np.sqrt(scipy.stats.chi2.ppf(0.95, 3)) * sigma_m[known]
+    radius = np.sqrt(scipy.special.chdtri(3, 0.05)) * sigma_m[known]
     return float((np.linalg.norm((fitted - true)[known], axis=-1) <= radius).mean())
 
 
