@@ -121,6 +121,24 @@ def test_hands_hang_on_their_arms_and_fill_the_pictures_between():
     assert network.looks == 2 * (2 + 1)  # twice at the first, once where a hand was followed
 
 
+@pytest.mark.parametrize(("bent_rad", "is_found"), [(0.0, True), (0.6, True), (-0.6, True), (1.5, False)])
+def test_a_hand_at_a_bent_wrist_is_searched_for_in_turned_crops(bent_rad: float, is_found: bool):
+    class Upright(Network):
+        def look(self, picture: np.ndarray, region: Region) -> Hand:
+            seen = super().look(picture, region)
+            off = abs((region.turn_rad - seen.region.turn_rad + np.pi) % (2 * np.pi) - np.pi)
+            return replace(seen, presence=0.9 if off < 0.3 else 0.0)
+
+    fingers = np.column_stack([np.linspace(0, 60, 21), np.tile([-8.0, 0.0, 8.0], 7)])
+    c, s = np.cos(bent_rad), np.sin(bent_rad)
+    hand = fingers @ np.array([[c, s], [-s, c]]) + 100
+    arm = Arm(0, 0, 0, 0, hand[0], hand[0] + [60.0, 0.0], 60.0)
+    network = Upright(np.stack([hand, hand + 900]))
+    network.looks = 0
+    found = find_hands(network, [np.zeros((4, 4, 3), np.uint8)], [arm])  # type: ignore[arg-type]
+    assert bool(found) == is_found
+
+
 @pytest.mark.parametrize(
     "network",
     [

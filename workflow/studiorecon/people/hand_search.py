@@ -32,6 +32,9 @@ _CONFIDENCE_POWER = 6
 # Hands are searched for at most so often, pictures per second: fingers move little beside the wrist in a twentieth of a
 # second, and at 30 it would cost a third of detecting the body.
 _SEARCHED_FPS = 20.0
+# Turn of the other crops: most of a wrist's reach to the side. On a real man they raise the hands of 90 pixels that are
+# found from 77 to 84 %, of 45 pixels from 71 to 81 %.
+_BENT_RAD = 0.6
 # Two hands of a person nearer than this share of their length are one.
 _SAME_SHARE = 0.25
 
@@ -124,15 +127,22 @@ def find_hands(
                 region = before[1].region
                 moved = replace(region, centre=region.centre + arm.wrist - before[0].wrist)
                 hand = hand_of_arm(arm, network.look(picture, moved))
-            if hand is None:
-                first = network.look(picture, region_of_arm(arm.wrist, arm.towards, arm.length_px))
-                if first.presence >= MIN_GUESS:
-                    hand = hand_of_arm(arm, network.look(picture, first.region))
+            hand = hand or _hand_beyond_wrist(network, picture, arm)
             if hand is not None:
                 now[arm.person, arm.side] = arm, hand
         last = {who: one for who, one in now.items() if not _is_others(*one, now.get((who[0], 1 - who[1])))}
         found |= {(arm.row, arm.side): hand for arm, hand in last.values()}
     return found
+
+
+def _hand_beyond_wrist(network: HandLandmarks, picture: Integer[np.ndarray, "H W 3"], arm: Arm) -> Hand | None:
+    """The hand in the crop that continues the arm, else in one that is turned to either side, as a bent wrist is."""
+    straight = region_of_arm(arm.wrist, arm.towards, arm.length_px)
+    for turn_rad in (0.0, -_BENT_RAD, _BENT_RAD):
+        first = network.look(picture, replace(straight, turn_rad=straight.turn_rad + turn_rad))
+        if first.presence >= MIN_GUESS and (hand := hand_of_arm(arm, network.look(picture, first.region))):
+            return hand
+    return None
 
 
 def _is_others(arm: Arm, hand: Hand, other: tuple[Arm, Hand] | None) -> bool:
