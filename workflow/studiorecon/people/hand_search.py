@@ -32,8 +32,8 @@ _CONFIDENCE_POWER = 6
 # Hands are searched for at most so often, pictures per second: fingers move little beside the wrist in a twentieth of a
 # second, and at 30 it would cost a third of detecting the body.
 _SEARCHED_FPS = 20.0
-# Turn of the other crops: most of a wrist's reach to the side. On a real man they raise the hands of 90 pixels that are
-# found from 77 to 84 %, of 45 pixels from 71 to 81 %.
+# Turn of the other crops: most of a wrist's reach to the side. With them 209 of a real man's 252 hands of 90 pixels are
+# found instead of 200, for a quarter more time.
 _BENT_RAD = 0.6
 # Two hands of a person nearer than this share of their length are one.
 _SAME_SHARE = 0.25
@@ -140,8 +140,9 @@ def _hand_beyond_wrist(network: HandLandmarks, picture: Integer[np.ndarray, "H W
     straight = region_of_arm(arm.wrist, arm.towards, arm.length_px)
     for turn_rad in (0.0, -_BENT_RAD, _BENT_RAD):
         first = network.look(picture, replace(straight, turn_rad=straight.turn_rad + turn_rad))
-        if first.presence >= MIN_GUESS and (hand := hand_of_arm(arm, network.look(picture, first.region))):
-            return hand
+        seen = network.look(picture, first.region) if first.presence >= MIN_GUESS else first
+        if seen.presence >= MIN_PRESENCE:
+            return hand_of_arm(arm, seen)  # a hand that is of the other arm would only be judged again
     return None
 
 
