@@ -40,9 +40,9 @@ def test_a_bent_network_in_any_unit_ends_in_metres(inverse: bool, stated: bool) 
     numbers = bent(truth, np.random.default_rng(5), inverse=inverse)
     found = learned(numbers, ("inverse" if inverse else "affine") if stated else "auto")
     off = np.abs(np.log(found.depth_m / truth))
-    assert np.median(off) < 0.015
-    # Its own statement of its error is right to a factor of two.
-    assert 0.5 < np.median(found.sigma) / (1.48 * np.median(off)) < 2.5
+    assert np.median(off) < 0.005, "the field follows a bend over half a picture"
+    # It never claims less error than the room itself has, here half a per cent.
+    assert 0.005 <= np.median(found.sigma) < 0.01
 
 
 def test_metres_keep_their_zero_and_nothing_measured_determines_nothing() -> None:
