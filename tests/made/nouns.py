@@ -16,8 +16,10 @@ from studiorecon.body.avatar.avatar_files import Avatar, read_avatar, write_avat
 from studiorecon.body.avatar.temporal import TemporalNetwork
 from studiorecon.body.model import BodyModel
 from studiorecon.body.person_files import read_person, write_person
+from studiorecon.calibration.formats.reading import Reading, read_reading, write_reading
 from studiorecon.camera_files.calibration import read_calibration
 from studiorecon.camera_files.colmap import read_model, read_points, write_model
+from studiorecon.camera_files.raw_camera import RawCamera
 from studiorecon.deliver.player_data import read_shade
 from studiorecon.depth.layout.primitives import Primitive, read_primitives, write_primitives
 from studiorecon.depth.layout.votes import read_sweeps
@@ -48,6 +50,7 @@ from studiorecon.scene.people import (
 from studiorecon.scene.provenance import read_provenance, write_provenance
 from studiorecon.scene.raw_detections import RawDetections, read_raw_detections, write_raw_detections
 from studiorecon.scene.readouts import Readout, read_readouts, write_readouts
+from studiorecon.scene.reports import read_association, read_metrics, read_refinement
 from studiorecon.scene.room import Platform, RoomBox, read_room, write_room
 from studiorecon.splatting.rigid_object import RigidObject, read_objects, write_objects
 
@@ -208,8 +211,47 @@ def _people(path: Path, k: int) -> None:
     write_people(path, [("p0", 4, "cam1,cam2", 0.9, "keypoints"), (f"p{k + 1}", 3, "cam1", 0.8, "keypoints")])
 
 
+def _reading(path: Path, k: int) -> None:
+    camera = RawCamera("cam1", WH, _camera(k).intrinsics, "opencv", np.zeros(5), _camera(k).camera_from_world)
+    write_reading(path, Reading("a format", (camera,), "m", ("a note",)), "a.toml")
+
+
+def _association(path: Path, k: int) -> None:
+    track = {"camera": "cam1", "track": k, "first": 0, "last": 3, "detections": 4, "person": "p0", "margin": 0.5}
+    left_out = {"name": "r0", "seconds": 0.5, "cameras": ["cam2"], "reason": "far", "lines": ["cam2\t0\tp1"]}
+    tracks, missed = [{**track, "reason": ""}], [{**left_out, "tracks": [["cam2", 0]]}]
+    write_json(path, {"corrected": False, "tracks": tracks, "left_out": missed})
+
+
+def _refinement(path: Path, k: int) -> None:
+    errors = {f"{when}_px_per_camera": [0.5 + k, None] for when in ("before", "after")}
+    edges = {"cameras": ["cam1", "cam2"], "off_deg": 0.4, "believed": False, "off_sigmas": 0.5}
+    write_json(path, {"cameras": ["cam1", "cam2"], **errors, "edges": edges, "calibration": {"doubts": ["a doubt"]}})
+
+
+def _metrics(path: Path, k: int) -> None:
+    measure, rig = {"value": 20.5 + k, "reason": None}, {"position_deg": 90.0, "viewing_deg": 70.0}
+    of_body = dict.fromkeys(("mpjpe_world_mm", "mpjpe_pelvis_mm", "mpjpe_similarity_mm"), 30.5)
+    bodies = {"people": {"p0": {"true_person": "a", "frames": 4, **of_body}}, "missed": [], "invented": []}
+    metrics = {
+        "pictures": {"raw": {"psnr": measure}, "enhanced": {"psnr": measure}},
+        "bodies": {**bodies, **of_body, "reason": None},
+        "jitter": {"p0": {"joints_mm_f2": 1.5, "pose_deg_f2": None}},
+        "coverage": {"orbit": {"measured": 0.5, "inferred": 0.3, "invented": 0.2}},
+        "rig": {**rig, "training_cameras": 4},
+        "held_out_cameras": [{"sentence": "still", "turned_deg": 0.5, "is_verified": True}],
+        "identities": {"accuracy": None},
+        "provenance": {"libraries": {"numpy": "2"}, "revision": None, "masks": "none"},
+    }
+    write_json(path, metrics)
+
+
 PRIMITIVE = Primitive((1.0, 1.5), 0.2, (0.5, 0.6), 0.0, 1.0, 30.0)
 NOUNS = {
+    "reading": Noun("read.json", _reading, read_reading),
+    "association": Noun("association.json", _association, read_association),
+    "refinement": Noun("refinement.json", _refinement, read_refinement),
+    "metrics": Noun("metrics.json", _metrics, read_metrics),
     "clocks": Noun("clocks.json", lambda p, k: write_clocks(p, _clocks(k)), read_clocks),
     "footage": Noun("cam1.json", lambda p, k: write_footage(p, _footage(k)), read_footage),
     "manifest": Noun(

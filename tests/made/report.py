@@ -40,6 +40,7 @@ LEFT_OUT = {
     "seconds": 2.53,
     "cameras": ["left", "right"],
     "reason": "it has no <depth>",
+    "tracks": [["left", 3], ["right", 1]],
     "lines": ["left\t3\tp0", "right\t1\tp0"],
 }
 
@@ -80,9 +81,9 @@ def report_scene(folder: Path, root: Path, default_settings: Callable, lpips: Pa
         folder / "report/audit.json",
         [Decision("injection", "s", 0.3, (0.28, 0.32), 0.2, "on", "it flickers", used_by="X")],
     )
-    write_json(folder / "cameras/refinement.json", {"median_px": 0.5})
+    write_json(folder / "cameras/refinement.json", {"cameras": [c.name for c in training]})
     cv2.imwrite(str(folder / "cameras/refinement.png"), np.full((60, 90, 3), 128, np.uint8))
-    write_json(folder / "people/association.json", {"left_out": [LEFT_OUT]})
+    write_json(folder / "people/association.json", {"corrected": False, "tracks": [], "left_out": [LEFT_OUT]})
     section = default_settings("report")
     common = {"manifest": folder / "capture/manifest.json", "model": folder / "cameras/images.txt"}
     shot = {"render": [folder / "render/heldout.mkv"], "render_path": [folder / "render/heldout.json"]}

@@ -19,21 +19,24 @@ import yaml
 from studiorecon.body.model import BodyModel
 from studiorecon.calibration.files import Settings, paired_lenses, read_calibration
 from studiorecon.depth.estimates import read_estimate
+from studiorecon.errors import UserError
 from studiorecon.footage.exr import read_depth, write_depth
 from studiorecon.footage.frames import decode
 from studiorecon.footage.lens_metadata import focal_px_from_metadata
 from studiorecon.footage.source import open_source
 from studiorecon.footage.stills import read_plate
 from studiorecon.footage.video import write_watchable
+from studiorecon.geometry.lens import rayless_share
 from studiorecon.keypoints.readers import read_keypoints
 from studiorecon.keypoints.tracking import TrackingLimits, drop_duplicates
 from studiorecon.masks.user_masks import mask_pictures
 from studiorecon.models.adapters.comotion import Comotion
+from studiorecon.people.corrected_identities import read_corrected_identities
 from studiorecon.plan.discovery import open_dataset
 from studiorecon.scene.capture import Footage
 from studiorecon.scene.gaussians import Gaussians
 from studiorecon.scene.gaussians_ply import read_ply, write_ply
-from studiorecon.scene.people import read_given_identities
+from studiorecon.scene.people import Detections
 from studiorecon.studio.description import read_description
 from studiorecon.tracks.bodies import Settings as BodySettings
 from studiorecon.tracks.bodies import detections_from_bodies, read_bodies, require_used_frames
@@ -82,13 +85,16 @@ def calibration_right(path: Path) -> Any:
     for lens in lenses:
         assert np.isfinite(lens.intrinsics).all()
         assert np.isfinite(lens.camera_from_world).all()
-    return lenses
+        try:
+            print(rayless_share(lens, lens.wh if min(lens.wh) else (1920, 1080)) > 0)
+        except UserError as refusal:
+            raise UserError(f"{path}: {refusal}") from None
+    return {lens.name: lens for lens in lenses}
 
 
 def identities_right(path: Path) -> Any:
-    found = read_given_identities(path)
-    assert all(isinstance(track, int) for _, track in found)
-    return found
+    seen = [Detections(c, "coco17", np.zeros(1, int), np.array([k]), STOOD[None]) for k, c in enumerate("ab")]
+    return read_corrected_identities(path, seen)
 
 
 def capture_right(path: Path) -> Any:
@@ -192,8 +198,14 @@ OPENCAP = {
 VIDEOS = tuple((f"videos/{c}.mp4", b"") for c in "abc")
 MEDIAPIPE = [{"pose_landmarks": [[{"x": 0.5, "y": 0.25, "z": 0.0, "visibility": 0.9}] * 33]}, {"pose_landmarks": []}]
 _TEXTS = {
-    "openpose": of_json("k/f_000.json", OPENPOSE, lambda p: keypoints_right(p.parent)),
-    "easymocap keypoints": of_json("k/f_000.json", EASYMOCAP, lambda p: keypoints_right(p.parent)),
+    "openpose": replace(
+        of_json("k/f_000.json", OPENPOSE, lambda p: keypoints_right(p.parent)),
+        beside=(("k/f_001.json", json.dumps(OPENPOSE).encode()),),
+    ),
+    "easymocap keypoints": replace(
+        of_json("k/f_000.json", EASYMOCAP, lambda p: keypoints_right(p.parent)),
+        beside=(("k/f_001.json", json.dumps(EASYMOCAP).encode()),),
+    ),
     "coco": of_json("k.json", COCO, keypoints_right),
     "mmpose": of_json("k.json", MMPOSE, keypoints_right),
     "mediapipe": of_json("k.json", MEDIAPIPE, keypoints_right),
@@ -302,7 +314,7 @@ GREY = RNG.integers(0, 256, (12, 16), np.uint8)
 FILM = [np.repeat(np.roll(GREY, k, 1).repeat(4, 0).repeat(4, 1)[..., None], 3, -1) for k in range(8)]
 DEPTH = (1 + RNG.random((12, 16))).astype(np.float32)
 ROWS = {
-    "id": np.arange(3),
+    "id": np.arange(1, 4),
     "frame_idx": np.array([0, 0, 1]),
     "pose": np.zeros((3, 72), np.float32),
     "betas": np.zeros((3, 10), np.float32),

@@ -53,6 +53,8 @@ def page(tmp_path: Path) -> str:
     tracks[4]["margin"] = 0.01
     out = {
         "name": "r0",
+        "seconds": 0.3,
+        "cameras": ["left", "right & <far>"],
         "reason": "a bystander",
         "tracks": [["left", 2], ["right & <far>", 2]],
         "lines": ["left\t2\tp3"],

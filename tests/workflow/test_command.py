@@ -61,7 +61,7 @@ def test_a_word_is_one_call_of_the_snakefile() -> None:
         "--cores",
         "2",
         "--config",
-        "dataset=DIR",
+        'dataset="DIR"',
     ]
 
 
@@ -83,7 +83,7 @@ def test_what_is_said_for_snakemake_joins_what_the_command_says() -> None:
         str(home.PRESETS / "standard.yaml"),
         "mine.yaml",
         "--config",
-        "dataset=DIR",
+        'dataset="DIR"',
         "scene=x",
         "people={fit: {iterations: 20}}",
     ]

@@ -19,7 +19,7 @@ import numpy as np
 from studiorecon.calibration.files import LengthUnit, paired_lenses, possible_pairings
 from studiorecon.calibration.files import Settings as Settings
 from studiorecon.calibration.film_places import choose_places, possible_places
-from studiorecon.calibration.formats.reading import Reading
+from studiorecon.calibration.formats.reading import Reading, read_reading
 from studiorecon.calibration.names import Pairing, mismatch_error
 from studiorecon.calibration.people_evidence import agreement, best_candidate, is_in_metres
 from studiorecon.calibration.second_undistortion import without_second_undistortion
@@ -33,11 +33,9 @@ from studiorecon.geometry.crop_hypotheses import (
 from studiorecon.geometry.lens import rayless_share, same_shape
 from studiorecon.keypoints.motion import Motion, film_motion
 from studiorecon.progress import say
-from studiorecon.scene import step_files
 from studiorecon.scene.camera import Lens
 from studiorecon.scene.files import write_json
 from studiorecon.scene.people import Detections, read_detections
-from studiorecon.scene.schema import Anything, MappingOf
 from studiorecon.signature import Written
 
 if TYPE_CHECKING:
@@ -141,11 +139,7 @@ def run(
     ``sources`` are the cameras' films. ``recorded`` cameras have keypoints from files, in pixels that the setting
     ``detect.keypoint_pixels`` leaves open.
     """
-    content, reading = step_files.read(
-        read,
-        MappingOf(Anything()),
-        lambda held: (held, Reading.from_json({k: v for k, v in held.items() if k != "source"})),
-    )
+    reading, source = read_reading(read)
     films = [open_source(source, picture_fps) for source in sources]
     sizes, stored = [film.wh for film in films], [film.stored_wh for film in films]
     seen = {d.camera: d for d in map(read_detections, sightings)}
@@ -167,7 +161,7 @@ def run(
         return {camera: motion for camera, motion in found.items() if motion is not None}
 
     choice = choose_lenses(
-        reading, content["source"], cameras, sizes, people, maps, settings, stored, areas, set(recorded), motions
+        reading, source, cameras, sizes, people, maps, settings, stored, areas, set(recorded), motions
     )
     doubts = []
     for lens, wh in zip(choice.lenses, sizes, strict=True):
@@ -176,13 +170,13 @@ def run(
                 f"camera {lens.name}: the lens distortion cannot be inverted in {share:.1%} of its picture (at the "
                 "corners), which is not used"
             )
-    say(f"{len(choice.lenses)} cameras from {content['source']} ({reading.format})")
+    say(f"{len(choice.lenses)} cameras from {source} ({reading.format})")
     for note in [*choice.notes, *doubts]:
         say(note)
     write_json(
         calibration,
         {
-            "source": content["source"],
+            "source": source,
             "format": reading.format,
             "lenses": [lens.as_json() for lens in choice.lenses],
             "floor_known": choice.floor_known,

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Literal
 import numpy as np
 
 from studiorecon.calibration.formats import FORMATS, accepted_formats
-from studiorecon.calibration.formats.reading import Reading
+from studiorecon.calibration.formats.reading import Reading, write_reading
 from studiorecon.calibration.names import Pairing, pairings, pairings_in_order
 from studiorecon.calibration.world import metres_per_unit, refuse_wrong_places, to_metric_world, z_up_from_world
 from studiorecon.camera_files.raw_camera import check_camera
@@ -21,7 +21,6 @@ from studiorecon.geometry.lens import apply_pixel_map
 from studiorecon.progress import say
 from studiorecon.rig.lens_model import LensReading, add_radial_term, reinterpret_lens
 from studiorecon.scene.camera import Lens
-from studiorecon.scene.files import write_json
 from studiorecon.scene.user_files import file_size, user_file_context
 from studiorecon.signature import Written
 
@@ -152,4 +151,4 @@ def run(settings: Settings, files: list[Path], cameras: list[str], read: Written
     reading = read_calibration(files, settings.format)
     paired_lenses(reading, files[0].name, cameras, {}, settings)
     say(f"{len(reading.cameras)} cameras from {files[0].name} ({reading.format})")
-    write_json(read, {"source": files[0].name, **reading.as_json()})
+    write_reading(read, reading, files[0].name)

@@ -15,6 +15,7 @@ from studiorecon.body.model import BodyModel
 from studiorecon.calibration.known_lenses import ideal_pinhole, lens_at_pose, lenses_of_cameras, undistort_detections
 from studiorecon.calibration.room_evidence import radial_lens, with_edges, with_floor
 from studiorecon.calibration.room_pictures import read_room_pictures, without_distortion
+from studiorecon.camera_files.raw_camera import check_focal_px
 from studiorecon.errors import UserError
 from studiorecon.estimate.intervals import camera_intervals
 from studiorecon.footage.lens_metadata import focal_px_from_metadata
@@ -262,9 +263,8 @@ def run(
     detections = [
         undistort_detections(d, known[d.camera], size_of[d.camera]) if d.camera in known else d for d in detections
     ]
-    given_px = {c: ideal_pinhole(lens, size_of[c]).focal_px[0] for c, lens in known.items()} | json.loads(
-        focal_px or "{}"
-    )
+    given_px = {c: ideal_pinhole(lens, size_of[c]).focal_px[0] for c, lens in known.items()}
+    given_px |= check_focal_px(json.loads(focal_px or "{}"), size_of)
     metadata_px = _focal_px_from_files(cameras, sources, size_of)
     measured = GivenLengths(**json.loads(lengths or "{}"))
     rooms = {

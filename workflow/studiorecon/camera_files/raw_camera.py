@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any
 
@@ -27,6 +28,8 @@ _MAX_LENGTH = 1e9
 # Share of the picture's size: cropping a corner of a sensor moves the principal point outside, but not a whole picture
 # further.
 _MAX_OFF_CENTRE = 1.5
+# A lens shift or an asymmetric crop moves it by less; 0, which programs write for an unknown one, is 0.5 away.
+_MAX_USUAL_OFF_CENTRE = 0.3
 # Share of the focal length: a skew moves the edge of a usual picture by half of it.
 _MAX_SKEW = 0.01
 # Largest error, after a file's rounding, of a number that should be 0 or 1.
@@ -57,6 +60,23 @@ class RawCamera:
         return RawCamera(**{**value, **arrays, "wh": (int(value["wh"][0]), int(value["wh"][1]))})
 
 
+def _focal_range_px(wh: tuple[int, int]) -> tuple[float, float]:
+    longer = max(wh)
+    return (_MIN_FOCAL * longer, _MAX_FOCAL * longer) if longer else (MIN_FOCAL_PX, MAX_FOCAL_PX)
+
+
+def check_focal_px(given: Mapping[str, float], size: Mapping[str, tuple[int, int]]) -> Mapping[str, float]:
+    """The user's focal lengths by camera; raises UserError for one that no lens has for pictures of its ``size``."""
+    for camera, (width, height) in size.items():
+        least, most = _focal_range_px((width, height))
+        if not least <= given.get(camera, least) <= most:
+            raise UserError(
+                f"capture.yaml: focal_px of {camera} is {given[camera]:g}; for pictures of {width}×{height} it must "
+                f"be from {least:g} to {most:g} pixels"
+            )
+    return given
+
+
 def check_camera(name: str, camera: RawCamera, source: str) -> tuple[RawCamera, list[str]]:
     """The camera with intrinsics in the form of all later steps, and a sentence for every number that was left out.
 
@@ -67,7 +87,7 @@ def check_camera(name: str, camera: RawCamera, source: str) -> tuple[RawCamera, 
     if min(camera.wh) < 0 or longer > _MAX_SIDE_PX or (0 in camera.wh and longer):
         raise UserError(f"{where}: its pictures are {camera.wh[0]}×{camera.wh[1]} pixels; correct the size")
     intrinsics, notes = _pinhole(camera.intrinsics, where)
-    least, most = (_MIN_FOCAL * longer, _MAX_FOCAL * longer) if longer else (MIN_FOCAL_PX, MAX_FOCAL_PX)
+    least, most = _focal_range_px(camera.wh)
     for axis, focal in (("fx", intrinsics[0, 0]), ("fy", intrinsics[1, 1])):
         if not least <= focal <= most:
             size = f" for pictures of {camera.wh[0]}×{camera.wh[1]}" if longer else ""
@@ -81,9 +101,9 @@ def check_camera(name: str, camera: RawCamera, source: str) -> tuple[RawCamera, 
             f"{where}: its principal point is ({centre[0]:g}, {centre[1]:g}), far outside of its pictures of "
             f"{camera.wh[0]}×{camera.wh[1]}; is the size another camera's?"
         )
-    if longer and not ((centre > 0) & (centre < camera.wh)).all():
+    if longer and not (np.abs(centre / camera.wh - 0.5) < _MAX_USUAL_OFF_CENTRE).all():
         notes.append(
-            f"{where}: its principal point ({centre[0]:g}, {centre[1]:g}) is outside of its pictures of "
+            f"{where}: its principal point ({centre[0]:g}, {centre[1]:g}) is far from the middle of its pictures of "
             f"{camera.wh[0]}×{camera.wh[1]}, which only happens for a cropped corner"
         )
     if not (np.isfinite(camera.distortion).all() and (np.abs(camera.distortion) < _MAX_COEFFICIENT).all()):

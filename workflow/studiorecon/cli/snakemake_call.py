@@ -5,6 +5,7 @@ from __future__ import annotations
 
 import difflib
 import importlib.util
+import json
 import os
 import sys
 from collections.abc import Sequence
@@ -49,8 +50,10 @@ def snakemake_command(target: str, dataset: str, cores: str, preset: str | None,
         cores,
         *rest,
     ]
+    # Quoted, since Snakemake reads 007 as a number and #1 as a comment.
+    quoted = f"dataset={json.dumps(dataset, ensure_ascii=False)}"
     # Last, since they take all words that follow.
-    return [*command, *(["--configfile", *overlays] if overlays else []), "--config", f"dataset={dataset}", *config]
+    return [*command, *(["--configfile", *overlays] if overlays else []), "--config", quoted, *config]
 
 
 def environment() -> dict[str, str]:

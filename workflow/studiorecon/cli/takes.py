@@ -30,9 +30,9 @@ from studiorecon.scene.capture import read_manifest
 from studiorecon.scene.capture_yaml import read_description
 from studiorecon.scene.dataset import Dataset
 from studiorecon.scene.files import write_table, write_text
+from studiorecon.scene.names import compose_unicode
 from studiorecon.scene.people import read_people
-from studiorecon.scene.schema import Anything, MappingOf
-from studiorecon.scene.step_files import read
+from studiorecon.scene.reports import read_refinement
 
 RESULTS, LOGS = Path("results"), Path("logs")
 TABLE = RESULTS / "takes.tsv"
@@ -54,7 +54,7 @@ class Take:
 
     @property
     def scene(self) -> str:
-        return self.folder.resolve().name
+        return compose_unicode(self.folder.resolve().name)
 
     @property
     def calibration(self) -> tuple[bytes, ...]:
@@ -211,7 +211,7 @@ def row_of(take: Take, result: str, begun: float, note: str) -> dict[str, str]:
     row["film"] = next((str(path) for what, path in list_results(folder, None) if what == "film"), "")
     notes = [note] if note else []
     refinement = folder / "cameras/refinement.json"
-    if refinement.is_file() and read(refinement, MappingOf(Anything())).get("moved_cameras"):
+    if refinement.is_file() and read_refinement(refinement).get("moved_cameras"):
         notes.append("its cameras were moved: cameras/refinement.png shows them")
     if result == "failed":
         notes.append(_last_failure(logs, begun) or "refused before its first step, with the reason above")

@@ -105,9 +105,10 @@ def _compared(
         return _none(given.program, layout), []
     most = int(np.unique(given.frame, return_counts=True)[1].max())
     if 2 * len(given.pictures) < filmed.frames < 2 * most:
+        remedy = "exchange the first two axes, frames come before people" if given.program == "npz" else ""
         raise UserError(
             f"{path} holds {most} people in {len(given.pictures)} frames, and the film has {filmed.frames} frames: "
-            "exchange the first two axes, frames come before people"
+            f"{remedy or 'give the people of every frame the number or name of their own picture'}"
         )
     numbers = possible_numberings(given.pictures, filmed.frames, filmed.fps, first_frame, given.counted)
     shown = np.concatenate([one.frame_of[np.isin(given.pictures, given.frame)] for one in numbers.possible])

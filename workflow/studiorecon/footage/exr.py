@@ -15,7 +15,7 @@ from studiorecon.arrays import require
 from studiorecon.errors import UserError
 from studiorecon.progress import say
 from studiorecon.scene.files import atomic_path
-from studiorecon.scene.schema import check, metres, real
+from studiorecon.scene.schema import FAR_M, check, metres, real
 from studiorecon.scene.step_files import CURE, step_file_context
 from studiorecon.scene.user_files import first_line
 
@@ -64,9 +64,9 @@ def read_depth(
 ) -> tuple[Float[np.ndarray, "H W"], Float[np.ndarray, "H W"]]:
     """Float32 depth in metres and confidence (1 where known when the file has no A); invalid depth becomes 0.
 
-    Depths that are negative or not finite are unknown, and confidences that are not finite are 0; a message counts
-    them. Accepts a depth channel named Z, Y, R or depth. A map that a step made has ``wh``, Z and A in their ranges.
-    Raises UserError naming the file.
+    Depths that are negative, not finite or beyond 100 km are unknown, and confidences outside of 0 to 1 are 0; a
+    message counts them. Accepts a depth channel named Z, Y, R or depth. A map that a step made has ``wh``, Z and A in
+    their ranges. Raises UserError naming the file.
     """
     import OpenEXR
 
@@ -85,14 +85,14 @@ def read_depth(
     if name is None:
         raise UserError(f"{path} has channels {', '.join(channels)}; depth is looked for in Z, Y, R or depth")
     depth_m = np.asarray(channels[name], np.float32)
-    usable = np.isfinite(depth_m) & (depth_m >= 0)
+    usable = (depth_m >= 0) & (depth_m <= FAR_M)
     depth_m = np.where(usable, depth_m, np.float32(0))
     confidence = np.asarray(channels["A"], np.float32) if "A" in channels else (depth_m > 0).astype(np.float32)
-    sure = np.isfinite(confidence)
+    sure = (confidence >= 0) & (confidence <= 1)
     if not (usable.all() and sure.all()):
         say(
-            f"{path.name}: {int((~usable).sum())} depths of {usable.size} are negative "
-            "or not finite and count as unknown, "
-            f"{int((~sure).sum())} confidences are not finite and count as 0"
+            f"{path.name}: {int((~usable).sum())} depths of {usable.size} are negative, not finite or beyond "
+            f"{FAR_M / 1000:g} km and count as unknown, {int((~sure).sum())} confidences are not from 0 to 1 and count "
+            "as 0"
         )
     return depth_m, np.where(sure, confidence, np.float32(0))

@@ -28,6 +28,8 @@ _STEEPEST = np.radians(80.0)
 # A calibration board covers at least the middle half of the picture: a lens model that folds within it belongs to
 # another lens.
 _MAX_UNSEEN = 0.5
+# Pincushion: zoom lenses have a tenth of this.
+_MAX_STRETCH = 2.0
 # Smallest usable picture, in calibration pixels.
 _MIN_SIDE_PX = 2.0
 # Points along a side of the picture at which the unseen share is counted: to 0.1 %.
@@ -303,7 +305,14 @@ def rayless_share(lens: Lens, source_wh: tuple[int, int]) -> float:
         )
     x, y = np.meshgrid(*((np.arange(_GRID) + 0.5) / _GRID * side for side in source_wh))
     pixels = np.stack([x, y], -1).reshape(-1, 2) @ affine[:, :2].T + affine[:, 2]
-    share = 1.0 - float(normalised_from_calibration(pixels, lens)[1].mean())
+    rays, seen = normalised_from_calibration(pixels, lens)
+    filmed = np.linalg.norm((pixels - lens.intrinsics[:2, 2]) / lens.intrinsics[[0, 1], [0, 1]], axis=-1)
+    if (filmed > _MAX_STRETCH * np.linalg.norm(rays, axis=-1))[seen].any():
+        raise UserError(
+            f"camera {lens.name}: its distortion {np.round(lens.distortion, 4).tolist()} ({lens.model}) moves pixels "
+            f"more than {_MAX_STRETCH:g} times as far from the middle, which no lens does; calibrate it again"
+        )
+    share = 1.0 - float(seen.mean())
     if share > _MAX_UNSEEN:
         raise UserError(
             f"camera {lens.name}: its distortion {np.round(lens.distortion, 4).tolist()} ({lens.model}) cannot be "

@@ -21,8 +21,7 @@ from studiorecon.people.pictures.change import sample_frames
 from studiorecon.progress import progress
 from studiorecon.scene.files import write_text
 from studiorecon.scene.people import Detections, people_rows, read_detections, read_identities, split_tracks, track_text
-from studiorecon.scene.schema import Anything, MappingOf
-from studiorecon.scene.step_files import read
+from studiorecon.scene.reports import read_association
 from studiorecon.signature import Written
 
 if TYPE_CHECKING:
@@ -194,7 +193,7 @@ def run(
     page: Written,
 ) -> None:
     """Write ``page`` (html that needs no network) from the identities and reasons in ``association``."""
-    info, rows = read(association, MappingOf(Anything())), people_rows(people)
+    info, rows = read_association(association), people_rows(people)
     whose = read_identities(identities)
     found = [split_tracks(read_detections(p), whose) for p in detections]
     view = {d.camera: v for v, d in enumerate(found)}

@@ -79,6 +79,8 @@ def find_recordings(folder: Path, chapters: Mapping[str, Sequence[str]]) -> Reco
         if fold_name(path.name) in VIDEO_FOLDERS and not path.is_dir():
             to = f"a link to {path.readlink()}, which is no folder" if path.is_symlink() else "no folder"
             several = f"; {path.name} is {to}"
+        elif path.suffix.lower() == ".zip":
+            several = f"; {path.name} is packed: unpack it"
     raise UserError(
         f"dataset {folder} has neither videos/*.mp4 (or mov, mkv, …) nor images/<camera>/*.png (or jpg): put one video "
         f"per camera there{several}"
@@ -86,6 +88,8 @@ def find_recordings(folder: Path, chapters: Mapping[str, Sequence[str]]) -> Reco
 
 
 def _films(folder: Path) -> list[Path]:
+    if waiting := next((p for p in sorted(folder.glob(".*.icloud")) if is_film(Path(p.stem[1:]))), None):
+        raise UserError(f"{waiting} is a placeholder: download {waiting.stem[1:]} from iCloud first, or delete it")
     return [p for p in sorted(folder.iterdir()) if not is_system_file(p) and not is_preview(p) and is_film(p)]
 
 

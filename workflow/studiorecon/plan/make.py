@@ -13,7 +13,7 @@ from studiorecon.plan.decisions import Plan
 from studiorecon.plan.networks import choose_networks
 from studiorecon.plan.person_sources import choose_person_sources
 from studiorecon.plan.plan_checks import check_plan
-from studiorecon.scene.names import check_name, segment_name
+from studiorecon.scene.names import check_name, compose_unicode, segment_name
 
 _TAKEN = ("studio", "body")
 """Folders of results that belong to no scene."""
@@ -27,7 +27,7 @@ def make_plan(config: Mapping[str, Any], home: Path) -> Plan:
     chosen = choose_dataset(config, home)
     dataset, networks = chosen.dataset, choose_networks(config, home)
     sources = choose_person_sources(dataset, config)
-    scene = str(config["scene"]) or chosen.studio or dataset.folder.resolve().name
+    scene = compose_unicode(str(config["scene"]) or chosen.studio or dataset.folder.resolve().name)
     check_name(scene, "the scene", "name it with --config scene=NAME")
     if scene in _TAKEN:
         raise UserError(

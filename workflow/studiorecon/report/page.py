@@ -32,12 +32,9 @@ from studiorecon.scene.decisions import Decision, read_decisions
 from studiorecon.scene.files import write_json, write_text
 from studiorecon.scene.path import read_path
 from studiorecon.scene.people import read_detections, read_identities, split_tracks
-from studiorecon.scene.schema import Anything, MappingOf
-from studiorecon.scene.step_files import CURE, read
+from studiorecon.scene.reports import read_association, read_metrics, read_recognition, read_refinement
+from studiorecon.scene.step_files import CURE
 from studiorecon.signature import Place, Written
-
-# Results of other steps, which the page shows and does not compute with.
-_SHOWN = MappingOf(Anything())
 
 
 @dataclass(frozen=True)
@@ -217,9 +214,7 @@ def people_section(
         names, whose = [person.name for person in bodies], read_identities(people.identities[0])
         found = [split_tracks(read_detections(path), whose) for path in people.detections]
         parts.append(timeline.timeline_strip(timeline.frames_with_detections(found, whose, names, frames), names))
-    parts += [
-        sections.rejected_people_table(read(path, _SHOWN, lambda held: held["left_out"])) for path in people.association
-    ]
+    parts += [sections.rejected_people_table(read_association(path)["left_out"]) for path in people.association]
     if people.masks:
         videos = [made.folder / "capture" / f"{mask.stem}.mkv" for mask in people.masks]
         parts.append(html.row(mask_pictures(videos, people.masks, frames // 2, width), min(len(videos), 4)))
@@ -239,7 +234,7 @@ def cameras_section(
     """The section on cameras: how well they explain the keypoints, and how much of the stage they see."""
     sheet_bgr = read_image(made.folder / "cameras/refinement.png", cv2.IMREAD_COLOR, CURE)
     sheet = html.jpeg(sheet_bgr[..., ::-1], 1600)
-    refinement = read(made.folder / "cameras/refinement.json", _SHOWN)
+    refinement = read_refinement(made.folder / "cameras/refinement.json")
     return [
         sections.cameras_table(refinement, sheet),
         sections.overlap_table(measured["rig"]),
@@ -264,13 +259,13 @@ def run(
 
     Files that are not arguments have the names that the rules give them in ``results/<scene>``.
     """
-    capture, measured, chosen = read_manifest(manifest), read(measures.metrics, _SHOWN), json.loads(ran.budget)
+    capture, measured, chosen = read_manifest(manifest), read_metrics(measures.metrics), json.loads(ran.budget)
     spent = run_cost(ran.benchmarks)
     write_json(costs, spent)
     names = tuple(camera.name for camera in read_model(model.parent)), tuple(f.camera for f in capture.held_out)
     made = ResultFiles(manifest.parents[1], *names, tuple(film.stem for film in films))
     width, decided = settings.picture_width, [read_decisions(path) for path in measures.decisions]
-    recognised = read(measures.recognition[0], _SHOWN) if measures.recognition else {}
+    recognised = read_recognition(measures.recognition[0]) if measures.recognition else {}
     ledgers = made.each("render/{}.tsv", made.shots)
     shown, rows = films_section(made, capture.frames, len(sections.version_names(measured)) > 1, settings)
     of_films = appendix.film_warnings(ledgers, settings.min_measured, settings.max_angle_deg)

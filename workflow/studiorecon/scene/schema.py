@@ -22,7 +22,7 @@ LARGEST = 1e9
 """No step writes a larger number."""
 # No scene reaches 100 km, even where a calibration's lengths are millimetres; no capture lasts twelve days; no rotation
 # has 160 turns; no camera here takes a million pictures a second.
-_FAR_M, _LONG_S, _TURNED_RAD, _FASTEST_FPS = 1e5, 1e6, 1e3, 1e6
+FAR_M, _LONG_S, _TURNED_RAD, _FASTEST_FPS = 1e5, 1e6, 1e3, 1e6
 
 
 @dataclass(frozen=True)
@@ -96,7 +96,14 @@ class Anything:
     """A value that no step computes with."""
 
 
-Schema = Numbers | Text | OptionalField | ListOf | MappingOf | Anything | Mapping[str, Any]
+@dataclass(frozen=True)
+class AtLeast:
+    """A mapping with these fields, and perhaps others, with which no step computes."""
+
+    fields: Mapping[str, Any]
+
+
+Schema = Numbers | Text | OptionalField | ListOf | MappingOf | Anything | AtLeast | Mapping[str, Any]
 
 
 def real(shape: str = "", **limits: Any) -> Numbers:
@@ -106,7 +113,7 @@ def real(shape: str = "", **limits: Any) -> Numbers:
 
 def metres(shape: str = "", **limits: Any) -> Numbers:
     """Lengths and positions."""
-    return real(shape, **({"low": -_FAR_M, "high": _FAR_M, "unit": "m"} | limits))
+    return real(shape, **({"low": -FAR_M, "high": FAR_M, "unit": "m"} | limits))
 
 
 def seconds(shape: str = "", **limits: Any) -> Numbers:
@@ -201,6 +208,8 @@ def _check(value: Any, schema: Schema, name: str, sizes: dict[str, int]) -> None
         case MappingOf(inner):
             for key, each in _mapping(value, name).items():
                 _check(each, inner, f"{name}.{key}".lstrip("."), dict(sizes))
+        case AtLeast(fields):
+            _check({key: one for key, one in _mapping(value, name).items() if key in fields}, fields, name, sizes)
         case Mapping():
             held = _mapping(value, name)
             if unknown := [key for key in held if key not in schema]:

@@ -156,7 +156,9 @@ def read_yaml(path: Path, loader: type = PlainYaml, *, comments: str = "") -> An
     except yaml.MarkedYAMLError as error:
         mark = error.problem_mark or error.context_mark
         where = f"line {mark.line + 1}: " if mark else ""
-        raise UserError(f"{path} is not valid YAML ({where}{error.problem or error.context})") from None
+        what = error.problem or error.context
+        what = "a tab; indent with blanks" if what and r"'\t'" in what else what
+        raise UserError(f"{path} is not valid YAML ({where}{what})") from None
     except RecursionError:
         raise UserError(f"{path} is not valid YAML (its lists are nested too deeply)") from None
     except (yaml.YAMLError, ValueError, TypeError, KeyError, AttributeError, OverflowError) as error:
@@ -317,7 +319,7 @@ def _entries(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
 
 
 def _check_unique_keys(node: Any) -> None:
-    """Raises yaml.MarkedYAMLError for a repeated key, and for ambiguous numbers: 010 for 8, 1:30 for 90."""
+    """Raises yaml.MarkedYAMLError for a repeated key, and for ambiguous numbers: 010 for 8, 1:30 for 90, {a: 0,5}."""
     seen: set[int] = set()
     waiting = [node]
     while waiting:
@@ -339,6 +341,9 @@ def _check_unique_keys(node: Any) -> None:
                     if key.value in keys:
                         raise yaml.MarkedYAMLError(problem=f"{key.value!r} twice", problem_mark=key.start_mark)
                     keys.add(key.value)
+                    if here.flow_style and key.value.isdecimal() and value.tag.endswith(":null") and not value.value:
+                        problem = f"{key.value} has no value; write a number with a point, not with a decimal comma"
+                        raise yaml.MarkedYAMLError(problem=problem, problem_mark=key.start_mark)
                 waiting += [key, value]
 
 

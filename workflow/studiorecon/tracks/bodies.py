@@ -63,7 +63,7 @@ def detections_from_bodies(
     outside, behind = 0, 0
     for frame, found in bodies:
         for k in range(len(found.tracks)):
-            inside = ((found.joints_px[k] >= 0) & (found.joints_px[k] <= footage.wh)).all(axis=-1)
+            inside = ((found.joints_px[k] > 0) & (found.joints_px[k] < footage.wh)).all(axis=-1)
             sure = float(found.confidences[k])
             outside += int(inside.sum() < settings.min_keypoints)
             behind += int(found.pelvises_m[k, 2] <= 0)

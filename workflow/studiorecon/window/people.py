@@ -27,8 +27,7 @@ from studiorecon.scene.people import (
     whole_track,
     write_identities,
 )
-from studiorecon.scene.schema import Anything, MappingOf
-from studiorecon.scene.step_files import read
+from studiorecon.scene.reports import read_association
 from studiorecon.window.projects import find_project
 
 if TYPE_CHECKING:
@@ -43,7 +42,7 @@ def read_tracks(name: str) -> dict[str, Any]:
     """``tracks`` of the scene's association, and ``cameras`` with each whole track's boxes, by frame, in pixels."""
     results = Path("results") / name
     manifest = read_manifest(results / "capture/manifest.json")
-    tracks = read(results / "people/association.json", MappingOf(Anything()))["tracks"]
+    tracks = read_association(results / "people/association.json")["tracks"]
     whose, cameras = read_identities(results / "people/identities.tsv"), []
     for found in (split_tracks(one, whose) for one in _detections(name)):
         frame = next(read_frames(results / "capture" / f"{found.camera}.mkv", 0, 1))
@@ -58,7 +57,7 @@ def read_tracks(name: str) -> dict[str, Any]:
 def _detections(name: str) -> list[Detections]:
     """The detections that the association of a scene is about: of the second look where there was one."""
     results = Path("results") / name
-    seen = {track["camera"] for track in read(results / "people/association.json", MappingOf(Anything()))["tracks"]}
+    seen = {track["camera"] for track in read_association(results / "people/association.json")["tracks"]}
     files = [(results / "people/detections" / f"{c}.npz", results / "tracks" / f"{c}.npz") for c in sorted(seen)]
     return [read_detections(second if second.is_file() else first) for second, first in files]
 

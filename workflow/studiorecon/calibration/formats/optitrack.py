@@ -14,7 +14,7 @@ from xml.etree.ElementTree import Element
 
 import numpy as np
 
-from studiorecon.calibration.formats.reading import CalibrationFormat, Reading
+from studiorecon.calibration.formats.reading import CalibrationFormat, Reading, attribute, number_attribute
 from studiorecon.camera_files.raw_camera import RawCamera, camera_from_world_of_pose, intrinsics_matrix
 from studiorecon.errors import UserError
 from studiorecon.scene.user_files import read_xml
@@ -38,7 +38,7 @@ def read(files: list[Path]) -> Reading:
         )
     cameras, notes = [], []
     for element in read_xml(path).iter("Camera"):
-        name = element.get("Serial", "?")
+        name = attribute(element, "Serial", f"a camera in {path}")
         extrinsic, lens = element.find("Extrinsic"), element.find("IntrinsicStandardCameraModel")
         if extrinsic is None or lens is None:
             lacking = "Extrinsic" if extrinsic is None else "IntrinsicStandardCameraModel"
@@ -50,31 +50,25 @@ def read(files: list[Path]) -> Reading:
 
 def _camera(name: str, element: Element, extrinsic: Element, lens: Element, where: str) -> RawCamera:
     world_from_camera = np.eye(4)
-    axes = np.array([_number(extrinsic, f"OrientMatrix{i}", where) for i in range(9)]).reshape(3, 3)
+    axes = np.array([number_attribute(extrinsic, f"OrientMatrix{i}", where) for i in range(9)]).reshape(3, 3)
     world_from_camera[:3, :3] = axes @ _FLIP
-    world_from_camera[:3, 3] = [_number(extrinsic, axis, where) for axis in "XYZ"]
-    focal = [_number(lens, f"{way}FocalLength", where) for way in ("Horizontal", "Vertical")]
-    centre = [_number(lens, f"LensCenter{axis}", where) for axis in "XY"]
-    k1, k2, k3 = (_number(lens, f"k{i}", where) for i in (1, 2, 3))
-    p1, p2 = (_number(lens, f"Tangential{axis}", where) for axis in "XY")
+    world_from_camera[:3, 3] = [number_attribute(extrinsic, axis, where) for axis in "XYZ"]
+    focal = [number_attribute(lens, f"{way}FocalLength", where) for way in ("Horizontal", "Vertical")]
+    centre = [number_attribute(lens, f"LensCenter{axis}", where) for axis in "XY"]
+    k1, k2, k3 = (number_attribute(lens, f"k{i}", where) for i in (1, 2, 3))
+    p1, p2 = (number_attribute(lens, f"Tangential{axis}", where) for axis in "XY")
     size = element.find("Attributes")
     if size is None:
         raise UserError(f"{where}: Attributes, which hold the size of its pictures, are missing; save it again")
+    width, height = (round(number_attribute(size, f"ImagerPixel{side}", where)) for side in ("Width", "Height"))
     return RawCamera(
         name=name,
-        wh=(round(_number(size, "ImagerPixelWidth", where)), round(_number(size, "ImagerPixelHeight", where))),
+        wh=(width, height),
         intrinsics=intrinsics_matrix(focal[0], focal[1], centre[0], centre[1], integer_centres=True),
         model="opencv",
         distortion=np.array([k1, k2, p1, p2, k3, 0, 0, 0]),
         camera_from_world=camera_from_world_of_pose(world_from_camera, where),
     )
-
-
-def _number(element: Element, attribute: str, where: str) -> float:
-    value = element.get(attribute)
-    if value is None:
-        raise UserError(f"{where}: {attribute} of {element.tag} is missing; save the calibration again in Motive")
-    return float(value)
 
 
 FORMAT = CalibrationFormat(

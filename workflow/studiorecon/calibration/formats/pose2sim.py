@@ -16,7 +16,7 @@ from studiorecon.camera_files.raw_camera import (
 )
 from studiorecon.errors import UserError
 from studiorecon.scene.user_files import MAX_TEXT_BYTES, read_bytes, read_toml
-from studiorecon.scene.user_values import numbers
+from studiorecon.scene.user_values import name, numbers
 
 # Caliscope's cameras are in such a file too; its cards and volumes, and Pose2Sim's Config.toml, are in the same folder.
 TOML_FILES = (("*.toml",), ("calibration/*.toml",))
@@ -45,7 +45,8 @@ def read(files: list[Path]) -> Reading:
     cameras = []
     notes: list[str] = []
     for key, table in camera_tables(files[0]).items():
-        cameras.append(camera_of_table(str(table.get("name", key)), table, files[0], notes))
+        called = name(table.get("name", key), f"the name of table {key} in {files[0]}")
+        cameras.append(camera_of_table(called, table, files[0], notes))
     return Reading("Pose2Sim/aniposelib TOML", tuple(cameras), "unknown", tuple(notes))
 
 

@@ -3,12 +3,11 @@
 
 from __future__ import annotations
 
-import xml.etree.ElementTree as ElementTree
 from pathlib import Path
 
 import numpy as np
 
-from studiorecon.calibration.formats.reading import CalibrationFormat, Reading
+from studiorecon.calibration.formats.reading import CalibrationFormat, Reading, attribute, number_attribute
 from studiorecon.camera_files.raw_camera import RawCamera, camera_from_world_of_pose, intrinsics_matrix
 from studiorecon.errors import UserError
 from studiorecon.scene.user_files import read_xml
@@ -30,7 +29,7 @@ def read(files: list[Path]) -> Reading:
     for element in root.iter("camera"):
         if element.get("active") == "0":
             continue
-        name = element.get("serial", "?")
+        name = attribute(element, "serial", f"a camera in {path}")
         where = f"camera {name} in {path}"
         if element.get("viewrotation", "0") not in ("0", "0.0"):
             raise UserError(
@@ -41,14 +40,14 @@ def read(files: list[Path]) -> Reading:
         if transform is None or intrinsic is None or frame is None:
             raise UserError(f"{where}: transform, intrinsic or fov_video is missing; export the calibration again")
         # The nine numbers are stored column by column: r11 r12 r13 are the image's x axis in the world.
-        axes = np.array([[_number(transform, f"r{i}{j}", where) for j in (1, 2, 3)] for i in (1, 2, 3)])
+        axes = np.array([[number_attribute(transform, f"r{i}{j}", where) for j in (1, 2, 3)] for i in (1, 2, 3)])
         world_from_camera = np.eye(4)
         world_from_camera[:3, :3] = axes.T @ _FLIP
-        world_from_camera[:3, 3] = [_number(transform, axis, where) / 1000 for axis in "xyz"]
-        left, top = (_number(frame, s, where) for s in ("left", "top"))
-        right, bottom = (_number(frame, s, where) for s in ("right", "bottom"))
-        focal = [_number(intrinsic, f"focalLength{a}", where) / _SUBPIXELS for a in "UV"]
-        centre = [_number(intrinsic, f"centerPoint{a}", where) / _SUBPIXELS for a in "UV"]
+        world_from_camera[:3, 3] = [number_attribute(transform, axis, where) / 1000 for axis in "xyz"]
+        left, top = (number_attribute(frame, s, where) for s in ("left", "top"))
+        right, bottom = (number_attribute(frame, s, where) for s in ("right", "bottom"))
+        focal = [number_attribute(intrinsic, f"focalLength{a}", where) / _SUBPIXELS for a in "UV"]
+        centre = [number_attribute(intrinsic, f"centerPoint{a}", where) / _SUBPIXELS for a in "UV"]
         radial = [float(intrinsic.get(f"radialDistortion{i}", 0)) for i in (1, 2, 3)]
         # The misspelling is the format's.
         tangential = [float(intrinsic.get(f"tangentalDistortion{i}", 0)) for i in (1, 2)]
@@ -65,13 +64,6 @@ def read(files: list[Path]) -> Reading:
             )
         )
     return Reading("Qualisys qca", tuple(cameras), "m", ())
-
-
-def _number(element: ElementTree.Element, attribute: str, where: str) -> float:
-    value = element.get(attribute)
-    if value is None:
-        raise UserError(f"{where}: {attribute} of {element.tag} is missing; export the calibration again")
-    return float(value)
 
 
 FORMAT = CalibrationFormat(

@@ -7,15 +7,38 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
+from xml.etree.ElementTree import Element
 
 import numpy as np
 
 from studiorecon.camera_files.raw_camera import RawCamera
 from studiorecon.errors import UserError
+from studiorecon.scene.files import write_json
+from studiorecon.scene.schema import RIGID, ListOf, flag, real, text, whole
+from studiorecon.scene.step_files import read
 
 # A static camera's poses of several pictures differ by what bundle adjustment leaves: less than this share of the
 # spread of all cameras, and this angle.
 _STILL, _STILL_DEG = 0.01, 1.0
+
+
+_CAMERA = {
+    "name": text(),
+    "wh": whole("2", low=0, unit="pixels"),
+    "intrinsics": real("3 3"),
+    "model": text("opencv", "fisheye"),
+    "distortion": real("C"),
+    "camera_from_world": real("4 4", such=RIGID),
+}
+_READING = {
+    "source": text(),
+    "format": text(),
+    "cameras": ListOf(_CAMERA),
+    "unit": text("m", "mm", "unknown"),
+    "notes": ListOf(text()),
+    "named": flag(),
+    "has_floor": flag(),
+}
 
 
 @dataclass(frozen=True)
@@ -38,14 +61,21 @@ class Reading:
     named: bool = True
     has_floor: bool = True
 
-    def as_json(self) -> dict[str, Any]:
-        return {**vars(self), "cameras": [vars(camera) for camera in self.cameras]}
 
-    @staticmethod
-    def from_json(value: dict[str, Any]) -> Reading:
-        cameras = [RawCamera.from_json(camera) for camera in value["cameras"]]
-        named, has_floor = bool(value["named"]), bool(value["has_floor"])
-        return Reading(value["format"], tuple(cameras), value["unit"], tuple(value["notes"]), named, has_floor)
+def write_reading(path: Path, reading: Reading, source: str) -> None:
+    """Write what was read of the calibration in the file ``source``, as JSON."""
+    cameras = [vars(camera) for camera in reading.cameras]
+    write_json(path, {"source": source, **vars(reading), "cameras": cameras})
+
+
+def read_reading(path: Path) -> tuple[Reading, str]:
+    """What was read of a calibration, and the name of its file; raises UserError as ``step_files.read`` does."""
+
+    def made(value: dict[str, Any]) -> tuple[Reading, str]:
+        source, cameras, notes = value.pop("source"), map(RawCamera.from_json, value["cameras"]), tuple(value["notes"])
+        return Reading(**{**value, "cameras": tuple(cameras), "notes": notes}), source
+
+    return read(path, _READING, made)
 
 
 def _always(path: Path) -> bool:
@@ -75,6 +105,18 @@ class CalibrationFormat:
     read: Callable[[list[Path]], Reading]
     holds_cameras: Callable[[Path], bool] = _always
     file_per_camera: bool = False
+
+
+def attribute(element: Element, key: str, where: str) -> str:
+    """An attribute of a calibration's XML; raises UserError where it is missing."""
+    if (value := element.get(key)) is None:
+        raise UserError(f"{where}: {key} of {element.tag} is missing; save the calibration again in its program")
+    return value
+
+
+def number_attribute(element: Element, key: str, where: str) -> float:
+    """``attribute`` as a number; raises ValueError for other text."""
+    return float(attribute(element, key, where))
 
 
 def merged_static(cameras: Sequence[RawCamera], notes: list[str]) -> tuple[RawCamera, ...]:

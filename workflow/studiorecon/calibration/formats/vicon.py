@@ -17,7 +17,7 @@ from xml.etree.ElementTree import Element
 
 import numpy as np
 
-from studiorecon.calibration.formats.reading import CalibrationFormat, Reading, merged_static
+from studiorecon.calibration.formats.reading import CalibrationFormat, Reading, attribute, merged_static
 from studiorecon.camera_files.raw_camera import RawCamera, camera_from_world_of_pose, intrinsics_matrix
 from studiorecon.errors import UserError
 from studiorecon.geometry.distortion import distort
@@ -40,7 +40,7 @@ def read(files: list[Path]) -> Reading:
     path = files[0]
     cameras, notes = [], []
     for element in read_xml(path).iter("Camera"):
-        name = element.get("DEVICEID", "?")
+        name = attribute(element, "DEVICEID", f"a camera in {path}")
         frames = element.findall("KeyFrames/KeyFrame")
         if not frames:
             notes.append(f"camera {name} of {path.name} is not calibrated (it has no KeyFrame) and was left out")

@@ -31,6 +31,7 @@ from studiorecon.models.catalogue.preflight import (
 )
 from studiorecon.models.protocols import Bodies
 from studiorecon.progress import warn
+from studiorecon.scene.schema import check, metres, radians, real
 
 if TYPE_CHECKING:
     from jaxtyping import Float, Integer, Num, Shaped
@@ -78,6 +79,13 @@ UNSEEN = 0.1
 """Confidence of a body that is extrapolated where nothing was detected."""
 # A detection belongs to a track when their points are this near, as a share of the body's box diagonal.
 _SAME = 0.15
+# Nobody is a hundred standard deviations from the mean shape.
+_ROWS = {
+    "pose": radians("N 72"), "betas": real("N 10", low=-100, high=100), "trans": metres("N 3"),
+    "pred_2d": real("N 27 2"), "pred_3d": metres("N 27 3"),
+}  # fmt: skip
+# Ids become tracks, whose parts are numbered from a million on; a million frames are hours.
+_MAX_NUMBER = 10**6 - 1
 _STORED = ("id", "frame_idx", "pose", "betas", "trans", "pred_2d", "pred_3d")
 _FIELDS = {"id": (), "pose": (72,), "betas": (10,), "trans": (3,), "pred_3d": (JOINTS, 3), "pred_2d": (JOINTS, 2)}
 
@@ -140,8 +148,12 @@ def read_bodies(rows: Mapping[str, Shaped[np.ndarray, " ..."]], where: str) -> l
         if rows[key].size != count * math.prod(shape) or len(rows[key]) != count:
             raise UserError(f"{where}: {key} is {rows[key].shape}, expected {(count, *shape)}; write one row a body")
         whole[key] = rows[key].reshape(count, *shape)
-        if not shape and ((whole[key] % 1 != 0) | (whole[key] < 0)).any():
-            raise UserError(f"{where}: {key} must be whole numbers from 0 on; write the network's own")
+        if shape:
+            check(whole[key], _ROWS[key], key)
+        if not shape and ((whole[key] % 1 != 0) | (whole[key] < 0) | (whole[key] > _MAX_NUMBER)).any():
+            raise UserError(f"{where}: {key} must be whole numbers from 0 to {_MAX_NUMBER}; write the network's own")
+    if empty := int((whole["id"] == 0).sum()):
+        warn(f"{where}: {empty} of {count} rows have id 0, which is an empty slot, and are left out; count from 1")
     if "conf" not in rows:
         warn(f"{where} has no conf: all of its bodies count as sure")
     logits = rows["conf"].reshape(count) if "conf" in rows else np.full(count, 10.0)

@@ -113,7 +113,7 @@ def measures_table(metrics: Mapping[str, Any]) -> str:
         rows.append([title, *(format_value(entry["value"], digits, unit) for entry in found), *change, meaning])
         if photo is not None:
             rows[-1][-1] += f" (the photos themselves: {photo:.{digits}f})"
-        if final["value"] is None and final["reason"]:
+        if final["value"] is None and final.get("reason"):
             reasons.setdefault(final["reason"], []).append(title.rstrip(" ↑↓"))
     notes = "".join(
         f"<p class=soft>Not measured: {html.escape(', '.join(n))}: {html.escape(r)}.</p>" for r, n in reasons.items()
@@ -163,7 +163,9 @@ def joint_errors_table(metrics: Mapping[str, Any]) -> str:
             html.table(["person", "true person", "frames", "world", "pelvis", "similarity"], rows, numeric=(2, 3, 4, 5))
         )
     else:
-        parts.append(f"<p>Joint errors are {MISSING}: {html.escape(bodies['reason'])}.</p>")
+        parts.append(
+            f"<p>Joint errors are {MISSING}: {html.escape(bodies.get('reason') or 'no person was fitted')}.</p>"
+        )
     for key, sentence in (("missed", "True people without a fit"), ("invented", "Fitted people who are not real")):
         if bodies[key]:
             parts.append(f"<p>{sentence}: {html.escape(', '.join(bodies[key]))}.</p>")
