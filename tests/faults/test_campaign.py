@@ -10,6 +10,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 from studiorecon.errors import UserError
+from studiorecon.plan.discovery import open_dataset
+from studiorecon.scene.capture_yaml import read_description
 from studiorecon.scene.names import check_name
 from studiorecon.scene.schema import real
 from studiorecon.scene.step_files import read
@@ -85,6 +87,35 @@ def test_a_damaged_file_is_named_with_its_field_and_what_is_expected(tmp_path: P
 def test_nothing_that_changes_a_whole_capture_is_silent() -> None:
     wrong_ones = [one for one in captures.outcomes(every=4) if captures.wrong(*one)]
     assert not wrong_ones
+
+
+@pytest.mark.parametrize(
+    ("brought", "sentence"),
+    [
+        ({"videos/.cam3.mp4.icloud": b"bplist00"}, "cam3.mp4 from iCloud"),
+        ({"capture.yaml": b"frames:\n\tfirst: 2\n"}, "line 2: a tab; indent with blanks"),
+        ({"capture.yaml": b"starts: {cam1: 0,5}\n"}, "5 has no value; write a number with a point"),
+    ],
+)
+def test_what_clouds_and_editors_do_to_a_capture_is_named(
+    brought: dict[str, bytes], sentence: str, tmp_path: Path
+) -> None:
+    (tmp_path / "videos").mkdir()
+    for name, content in {"videos/cam1.mp4": b"a", "videos/cam2.mp4": b"bc", **brought}.items():
+        (tmp_path / name).write_bytes(content)
+    with pytest.raises(UserError, match=sentence):
+        open_dataset(tmp_path)
+
+
+def test_the_suffix_that_an_editor_adds_is_no_hindrance(tmp_path: Path) -> None:
+    (tmp_path / "capture.yaml.txt").write_text("people: 0\n")
+    assert read_description(tmp_path, None) == {"people": 0}
+
+
+def test_packed_films_are_named(tmp_path: Path) -> None:
+    (tmp_path / "videos.zip").write_bytes(b"PK")
+    with pytest.raises(UserError, match=r"videos\.zip is packed: unpack it"):
+        open_dataset(tmp_path)
 
 
 @pytest.mark.parametrize("name", NAMES)

@@ -14,7 +14,7 @@ import numpy as np
 import pytest
 import yaml
 from studiorecon import home
-from studiorecon.cli import command, quick_check
+from studiorecon.cli import command, quick_check, snakemake_call
 from studiorecon.configuration.catalogue import list_film_settings, list_settings
 from studiorecon.errors import UserError
 from studiorecon.footage.video import write_watchable
@@ -61,7 +61,7 @@ def test_a_word_is_one_call_of_the_snakefile() -> None:
         "--cores",
         "2",
         "--config",
-        'dataset="DIR"',
+        'dataset= "DIR" ',
     ]
 
 
@@ -83,7 +83,7 @@ def test_what_is_said_for_snakemake_joins_what_the_command_says() -> None:
         str(home.PRESETS / "standard.yaml"),
         "mine.yaml",
         "--config",
-        'dataset="DIR"',
+        'dataset= "DIR" ',
         "scene=x",
         "people={fit: {iterations: 20}}",
     ]
@@ -256,3 +256,18 @@ def test_the_doctor_s_first_words_need_no_run(tmp_path: Path) -> None:
     assert any(
         t.startswith("camera b: ") and "cannot be read as a video" in t for t in quick_check.quick_check(tmp_path)
     )
+
+
+def test_a_read_only_home_is_no_hindrance(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "home/cache"))
+    monkeypatch.chdir(tmp_path)
+    assert snakemake_call.environment()["XDG_CACHE_HOME"] == str(tmp_path / "home/cache")
+    monkeypatch.setattr(snakemake_call.os, "access", lambda *_: False)
+    assert snakemake_call.environment()["XDG_CACHE_HOME"] == str(tmp_path / ".snakemake/cache")
+
+
+@pytest.mark.parametrize("name", ["0123", "#x", "[x]", "1e5", 'a "b"', "null", "Ü"])
+def test_snakemake_reads_a_folder_s_name_as_it_is(name: str) -> None:
+    parse = pytest.importorskip("snakemake.cli").parse_config
+    words = snakemake_call.snakemake_command("", name, "1", None, [])
+    assert parse(words[words.index("--config") + 1 :]) == {"dataset": name}

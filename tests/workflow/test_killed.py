@@ -112,10 +112,18 @@ def test_fifty_kills_at_random_moments_end_with_the_bytes_of_an_undisturbed_run(
         process = started(killed)
         # Reading the workflow takes three seconds of every start; from then on any moment.
         time.sleep(3 + rng.uniform(0, 1.5 * took_s / KILLS))
-        # The system kills one process at a time: in half of the cases steps outlive their driver.
-        if rng.random() < 0.5:
-            process.kill()
-            time.sleep(rng.uniform(0, 1))
+        # The system kills one process at a time: in some of the cases steps outlive their driver. A terminal that is
+        # closed, and Ctrl-C, reach all.
+        end, number = [
+            (os.kill, signal.SIGKILL),
+            (os.kill, signal.SIGTERM),
+            (os.killpg, signal.SIGKILL),
+            (os.killpg, signal.SIGINT),
+            (os.killpg, signal.SIGHUP),
+        ][rng.integers(5)]
+        with suppress(ProcessLookupError):
+            end(process.pid, number)
+        time.sleep(rng.uniform(0, 1))
         with suppress(ProcessLookupError):
             os.killpg(process.pid, signal.SIGKILL)
         kills += process.wait() != 0

@@ -2,6 +2,7 @@
 # Here stands only what needs Snakemake's own names: config, workflow, local, checkpoints.
 
 import json
+import logging
 import os
 import shlex
 import time
@@ -31,6 +32,9 @@ from studiorecon.configuration.schema import mistakes, coerce_types
 from studiorecon.progress import print_error
 from studiorecon.stages import STAGES
 from studiorecon.sweep.table import BASE, read_rows
+
+# On a full disk every line of Snakemake's own log would print a trace; the step that fails says what is full.
+logging.raiseExceptions = False
 
 HOME = Path(workflow.basedir)
 # Where results lie beside the workflow its files are named from there: a folder that is moved whole stays as finished as it was.

@@ -50,8 +50,8 @@ def snakemake_command(target: str, dataset: str, cores: str, preset: str | None,
         cores,
         *rest,
     ]
-    # Quoted, since Snakemake reads 007 as a number and #1 as a comment.
-    quoted = f"dataset={json.dumps(dataset, ensure_ascii=False)}"
+    # Snakemake reads 007 as a number and #1 as a comment, unless quoted, and removes quotes at the very ends.
+    quoted = f"dataset= {json.dumps(dataset, ensure_ascii=False)} "
     # Last, since they take all words that follow.
     return [*command, *(["--configfile", *overlays] if overlays else []), "--config", quoted, *config]
 
@@ -63,4 +63,9 @@ def environment() -> dict[str, str]:
     """
     if importlib.util.find_spec("snakemake") is None:
         raise UserError("Snakemake, which runs the steps, is not installed here: pip install 'studiorecon[run]'")
-    return {**os.environ, "PATH": os.pathsep.join([os.path.dirname(sys.executable), os.environ.get("PATH", "")])}
+    cache = Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache")
+    there = next(folder for folder in (cache, *cache.parents) if folder.exists())
+    # Snakemake needs a cache, also where the home folder is read-only, as in containers.
+    own = {} if os.access(there, os.W_OK) else {"XDG_CACHE_HOME": str(Path(".snakemake/cache").absolute())}
+    path = os.pathsep.join([os.path.dirname(sys.executable), os.environ.get("PATH", "")])
+    return {**os.environ, **own, "PATH": path}

@@ -37,11 +37,15 @@ ABOUT_KEYPOINTS = ("keypoint_layout", "keypoint_first_frame")
 
 
 def description_path(folder: Path) -> Path:
-    """``capture.yaml`` in ``folder``, or the only file of that name in another spelling (``capture.yml``)."""
+    """``capture.yaml`` in ``folder``, or the only file of that name in another spelling (``capture.yml``, ``.txt``)."""
     usual = folder / "capture.yaml"
     if usual.exists() or usual.is_symlink():
         return usual
-    spelled = [path for path in folder.glob("[cC]*") if path.name.casefold() in ("capture.yaml", "capture.yml")]
+    spelled = [
+        path
+        for path in folder.glob("[cC]*")
+        if path.name.casefold() in ("capture.yaml", "capture.yml", "capture.yaml.txt")
+    ]
     return spelled[0] if len(spelled) == 1 else usual
 
 

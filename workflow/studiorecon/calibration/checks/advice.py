@@ -16,6 +16,8 @@ if TYPE_CHECKING:
 CLEAR_MARGIN = 1.5
 _MIN_AGREEMENT = 0.3
 _UNEVEN_LIGHT = 1.5
+# Levels of 255: decoders round grey by less, and the dullest room has ten times as much colour.
+_GREY = 1.0
 _BURNT = 0.1
 # From this level on in all channels a pixel counts as white.
 _WHITE = 250
@@ -246,12 +248,13 @@ def _footage(report: dict[str, Any]) -> list[str]:
 
 
 def brightness_and_clipping(pictures: Sequence[Integer[np.ndarray, "H W 3"]]) -> dict[str, float]:
-    """Mean grey 0..1 (``brightness``) and share of white pixels (``burnt``) of a camera's (H, W, 3) uint8 pictures,
-    every fourth pixel."""
+    """Mean grey 0..1 (``brightness``), share of white pixels (``burnt``) and mean difference of channels (``colour``,
+    0..255) of a camera's (H, W, 3) uint8 pictures, every fourth pixel."""
     grey = float(np.mean([p[::4, ::4].mean() for p in pictures]) / 255)
     return {
         "brightness": grey,
         "burnt": float(np.mean([(p[::4, ::4].min(-1) >= _WHITE).mean() for p in pictures])),
+        "colour": float(np.mean([np.ptp(p[::4, ::4], axis=-1).mean() for p in pictures])),
     }
 
 
@@ -278,6 +281,9 @@ def footage_notes(footage: Sequence[Mapping[str, Any]]) -> list[str]:
             + ", ".join(f"{c} {v:.2f}" for c, v in light.items())
             + "): views of one thing will differ too"
         )
+    grey = [a["camera"] for a in footage if a.get("colour", _GREY) < _GREY]
+    if 0 < len(grey) < len(footage):
+        found.append(f"the pictures of {', '.join(grey)} have no colour: views of one thing will differ")
     found += [
         f"camera {a['camera']}: {a['burnt']:.0%} of its pictures are burnt out" for a in footage if a["burnt"] > _BURNT
     ]
