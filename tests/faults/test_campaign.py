@@ -9,6 +9,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from studiorecon.camera_files.raw_camera import check_focal_px
 from studiorecon.errors import UserError
 from studiorecon.plan.discovery import open_dataset
 from studiorecon.scene.capture_yaml import read_description
@@ -110,6 +111,12 @@ def test_what_clouds_and_editors_do_to_a_capture_is_named(
 def test_the_suffix_that_an_editor_adds_is_no_hindrance(tmp_path: Path) -> None:
     (tmp_path / "capture.yaml.txt").write_text("people: 0\n")
     assert read_description(tmp_path, None) == {"people": 0}
+
+
+def test_a_focal_length_of_no_lens_is_refused_and_one_within_the_named_range_is_taken() -> None:
+    with pytest.raises(UserError, match=r"900000; for pictures of 1920×1080 it must be from 172\.8 to 192000 pixels"):
+        check_focal_px({"a": 900_000.0}, {"a": (1920, 1080), "b": (1920, 1080)})
+    assert check_focal_px({"a": 900.0}, {"a": (1920, 1080)}) == {"a": 900.0}
 
 
 def test_packed_films_are_named(tmp_path: Path) -> None:

@@ -16,6 +16,8 @@ from tests.made.remedies import PACKAGE, sentences_of
 
 # Places whose advice is followed by another test, or where another test brings what is advised and reaches the end.
 ELSEWHERE = {
+    "camera_files/raw_camera.py check_focal_px": "faults/test_campaign.py "
+    "test_a_focal_length_of_no_lens_is_refused_and_one_within_the_named_range_is_taken",
     "body/avatar/binding.py bind ?": "body/test_binding.py test_a_strangers_shape_place_and_weights_are_found",
     "calibration/from_people.py *": "calibration/test_calibration_from_people.py "
     "test_cameras_are_found_from_two_people_in_sixty_frames",

@@ -301,11 +301,11 @@ def flow(side: int) -> Call:
     return lambda _: dis_flow(*np.zeros((2, side, side), np.uint8), "medium")
 
 
-def lens_of(centre_px: float) -> Call:
+def lens_of(centre_px: float, k1: float = 0.5) -> Call:
     def call(f: Path) -> None:
         own = next(iter(read_lenses(calibrated(f, (64, 48), 0.0)).values()))
         away = own.intrinsics + np.array([[0, 0, centre_px], [0, 0, 0], [0, 0, 0]])
-        rayless_share(replace(own, intrinsics=away, distortion=np.array([0.5, 0, 0, 0, 0])), (64, 48))
+        rayless_share(replace(own, intrinsics=away, distortion=np.array([k1, 0, 0, 0, 0])), (64, 48))
 
     return call
 
@@ -361,6 +361,7 @@ ROWS: list[tuple[Any, ...]] = [
     ("calibration/network.py metres_per_unit 2", lambda _: metres_per_unit(np.array([1.0, 9.0]), 0.5, False, "Pi3"),
      plan(calibration={"source": "files"})),
     ("geometry/lens.py rayless_share 1", lens_of(5000.0), lens_of(0.0)),
+    ("geometry/lens.py rayless_share 2", lens_of(0.0, 50.0), lens_of(0.0)),
     ("humans/photo.py best_photo", photos(0), photos(40)),
     ("humans/stranger.py run 1", stranger(0, 0), stranger(0, 255)),
     ("humans/stranger.py run 2", stranger(), stranger(0, 255)),
