@@ -22,6 +22,7 @@ These modules import nothing of this package but errors, arrays and progress:
   film, identities, and bodies over time;
 * ``room``, ``gaussians``, ``gaussians_ply``, ``provenance``: the room box, Gaussians, and their provenance;
 * ``replacement_photos``: how films name people of photos; ``support``: how well photos show a view;
+* ``reports``: what steps report about tracks, cameras and scores, as pages show it;
 * ``effects``, ``decisions``, ``factors``: the type of an effect, the decisions of a scene, and gains of cameras and
   frames.
 """
