@@ -251,7 +251,8 @@ def _promised(head: _Decoded, times_s: np.ndarray, most: int) -> bool:
 def _ends(path: Path, times_s: np.ndarray) -> bool:
     """Whether decoding from the last key frame on ends as the packets state."""
     with open_container(path) as container:
-        stream, needed = film_stream(container), None
+        stream = film_stream(container)
+        needed: set[int] | None = None
         if (base := stream.time_base) is not None:
             container.seek(int(times_s[-1] / base), stream=stream, backward=True)
             needed = {round(time_s / base) for time_s in times_s[-_HEAD_FRAMES:].tolist()}
