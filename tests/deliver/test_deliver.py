@@ -171,17 +171,6 @@ def test_keypoints_of_the_capture_are_delivered_with_identities(tmp_path: Path, 
     assert "coco17" in (tmp_path / "deliver/README.txt").read_text()
 
 
-def test_a_missing_film_is_named_and_delivered_once_it_is_there(tmp_path: Path, root: Path) -> None:
-    write_scene(tmp_path, root, people=0, filmed=False)
-    chosen = options(tmp_path, 0)
-    film = chosen["films"][0].rename(tmp_path / "elsewhere.mp4")
-    with pytest.raises(UserError, match=r"orbit\.mp4 .*run the workflow again"):
-        call(export.run, **chosen)
-    film.rename(chosen["films"][0])
-    call(export.run, **chosen)
-    assert (tmp_path / "deliver/films/orbit.mp4").is_file()
-
-
 def test_who_comes_later_is_not_in_the_still_picture_and_alone_as_they_came(root: Path) -> None:
     rng, body = np.random.default_rng(0), BodyModel.load(root / "resources/body.npz")
     background, first, second = room(rng), avatar(body, rng, "p0"), avatar(body, rng, "p1")
@@ -224,7 +213,7 @@ def test_a_gaussian_that_is_no_number_is_refused_in_one_sentence(files: dict, wh
         write_ply(path, broken)
     else:
         replace_gaussians(path, files["avatars"][1], broken)
-    with pytest.raises(UserError, match=rf"{path.name} holds 1 Gaussians.*number 5"):
+    with pytest.raises(UserError, match=rf"{path.name} .*1 of its Gaussians are not finite"):
         call(read_finished, **files)
 
 

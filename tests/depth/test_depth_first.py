@@ -61,5 +61,5 @@ def test_another_picture_and_a_network_that_knows_nothing_are_refused(tmp_path: 
     write_depth(about[0], np.zeros((27, 48)), np.zeros((27, 48)))
     with pytest.raises(UserError, match="has no depth for camera"):
         first.run(names[0], model, *about)
-    with pytest.raises(UserError, match="camera nobody is not in"):
+    with pytest.raises(UserError, match="no camera nobody"):
         first.run("nobody", model, *about)

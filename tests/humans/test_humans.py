@@ -140,8 +140,6 @@ def test_refusals_name_the_person_and_the_remedy(made: Made, settings: Callable,
         call(train.run, settings(), **(made.options | {"person": "p7"}), **out)
     with pytest.raises(UserError, match="no training camera shows 60 pixels of p0"):
         call(train.run, settings(), **(made.options | {"person": "p0"}), **out)
-    with pytest.raises(UserError, match="degree 2 only"):
-        call(train.run, settings(sh_degree=3), **made.options, **out)
     with pytest.raises(UserError, match="3 masks for 4 training cameras"):
         call(train.run, settings(), **(made.options | {"masks": made.options["masks"][:3]}), **out)
 

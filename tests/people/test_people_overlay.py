@@ -101,12 +101,12 @@ def test_the_film_has_every_frame(tmp_path: Path, root: Path, person: Person) ->
         **{name: getattr(person, name)[:2] for name in ("poses", "trans", "joints", "valid", "present", "sigma")},
     )
     write_person(tmp_path / "people/p0.npz", short)
-    with pytest.raises(UserError, match="has 2 frames and the capture 6"):
+    with pytest.raises(UserError, match="it has 2 frames, the capture 6"):
         overlay.run(**options)
     write_person(tmp_path / "people/p0.npz", replace(person, poses=person.poses[:2]))
     with pytest.raises(UserError, match=r"p0\.npz .*trans .*T = 2"):
         overlay.run(**options)
-    with pytest.raises(UserError, match="camera cam9 is not in"):
+    with pytest.raises(UserError, match="it has no camera cam9"):
         overlay.run(**{**options, "camera": "cam9"})
 
 

@@ -338,7 +338,7 @@ ROWS: list[tuple[Any, ...]] = [
     ("tracks/bodies.py require_used_frames", bodies((0, 7)), bodies((0, 2))),
     ("tracks/bodies.py read_bodies", bodies(conf=np.full((2, 1), np.nan)), bodies()),
     ("models/adapters/comotion.py read_bodies 1", bodies(lacking="pred_2d"), bodies()),
-    ("models/adapters/comotion.py read_bodies 4", bodies(lacking="conf"), bodies()),
+    ("models/adapters/comotion.py read_bodies 5", bodies(lacking="conf"), bodies()),
     (f"{SECOND} second_network", answering(TensorProto.DOUBLE, "Identity"), GOOD),
     (f"{TOP} TopDown.__init__ 2", answering(TensorProto.FLOAT, "Flatten"), GOOD),
     ("detector/blazepose.py BlazePose.__init__ 2", behind_blazepose("smpl24"), behind_blazepose("coco17")),

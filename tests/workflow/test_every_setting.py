@@ -24,7 +24,7 @@ PLANNED: dict[str, set[str] | None] = {
     "capture_yaml": None,
     "images": set(),
     "body": None,
-    "device": {"background_train", "humans_train", "render_shot"},
+    "device": {"background_kernels", "background_train", "humans_train", "render_shot"},
     "budget_min": None,  # another preset, whose settings these are
     "strict": set(),  # a job more, not another
     "sweep": set(),

@@ -62,7 +62,7 @@ def read_people(content: Any, where: str) -> tuple[list[Float[np.ndarray, "K 3"]
         if not isinstance(person, Mapping):
             raise UserError(f"{who} is {short_text(person)}; it must be one person's keypoints, or null for no person")
         given = next((person[name] for name in keys if name in person), ...)
-        if given is ... and person:
+        if given is ... and set(person) - {"person_id"}:
             others = [k for k in person if "keypoint" in str(k) and str(k)[:4] not in _PARTS]
             where_else = f", but {others[0]}" if others else f" ({short_text(', '.join(map(str, person)))} only)"
             raise UserError(f"{who} has no {keys[0]}{where_else}; write the body's keypoints so, or null for no person")
