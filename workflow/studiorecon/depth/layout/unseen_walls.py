@@ -44,8 +44,10 @@ _ALIKE = 0.75
 # Share of directions in which the furthest matched floor is not floor (a wall, or its reflection).
 _WRONG_FLOOR = 0.15
 _WRONG_FLOOR_M = 0.3
-# A direction's floor ends at this quantile of its matches, of at least so many pixels.
-_FURTHEST, _MIN_PIXELS = 0.9, 5
+# A direction's floor ends at this quantile of its matches: the last tenth may be wrong.
+_FURTHEST = 0.9
+# Fewer pixels of a direction have no quantile.
+_MIN_PIXELS = 5
 # Least cosine between a wall's normal and the line of sight.
 _FACED = 0.35
 _STEP_M = 0.05
