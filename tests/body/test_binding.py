@@ -76,3 +76,4 @@ def test_what_is_no_person_in_the_rest_pose_is_refused_by_name(body: BodyModel, 
         bind(replace(stranger, means_m=stranger.means_m * 100), body, "cm.ply")
     with pytest.raises(UserError, match=r"vase.ply has 100 solid Gaussians, too few for a person"):
         bind(stranger.take(np.arange(100)), body, "vase.ply")
+    assert bind(stranger, body, "turned.ply").gaussians.count == stranger.count, "the canonical one is bound"

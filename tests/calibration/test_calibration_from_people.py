@@ -44,20 +44,29 @@ def test_cameras_are_found_from_two_people_in_sixty_frames(tmp_path, options, ro
         write_json(tmp_path / f"{d.camera}.json", {"camera": d.camera, "wh": [1280, 704]})
     names = [c.name for c in truth]
     write_clocks(tmp_path / "clocks.json", Clocks(30.0, 0.0, 60, tuple(Clock(n, 30.0, 60) for n in names)))
-    from_people.run(
-        options,
-        [tmp_path / f"{n}.npz" for n in names],
-        [tmp_path / f"{n}.json" for n in names],
-        tmp_path / "clocks.json",
-        root / "resources/body.npz",
-        names,
-        names,
-        [tmp_path / f"{n}.mp4" for n in names],
-        [],
-        '{"' + '": 914.0, "'.join(names) + '": 914.0}',
-        "{}",
-        tmp_path / "calibration.json",
-    )
+
+    def run(training: list[str]) -> None:
+        from_people.run(
+            options,
+            [tmp_path / f"{n}.npz" for n in names],
+            [tmp_path / f"{n}.json" for n in names],
+            tmp_path / "clocks.json",
+            root / "resources/body.npz",
+            names,
+            training,
+            [tmp_path / f"{n}.mp4" for n in names],
+            [],
+            '{"' + '": 914.0, "'.join(names) + '": 914.0}',
+            "{}",
+            tmp_path / "calibration.json",
+        )
+
+    late = detections[0]
+    write_detections(tmp_path / f"{late.camera}.npz", replace(late, frame=late.frame + 1000))
+    with pytest.raises(UserError, match=r"fewer than two training cameras.*synchronised"):
+        run(names[:2])
+    write_detections(tmp_path / f"{late.camera}.npz", late)
+    run(names)
     content = read_json(tmp_path / "calibration.json")
     found = [
         replace(c, camera_from_world=np.array(v["camera_from_world"]), intrinsics=np.array(v["intrinsics"]))
@@ -214,10 +223,13 @@ def test_of_two_arrangements_the_likelier_is_used_and_the_interval_covers_the_ot
 
 
 def test_cameras_that_share_nobody_are_undetermined(options, template):
-    truth, detections = made_take(frames=20, occluded=False)
+    truth, detections = made_take(frames=60, people=2, occluded=False)
     apart = [replace(d, frame=d.frame + 100 * v) for v, d in enumerate(detections)]
     with pytest.raises(UserError, match="no two cameras see enough of one person"):
         from_people.pose_cameras(apart, [c.wh for c in truth], {c.name: 914.0 for c in truth}, 400, template, options)
+    focal_px = {c.name: c.focal_px[0] for c in truth}
+    synchronised, _ = from_people.pose_cameras(detections, [c.wh for c in truth], focal_px, 60, template, options)
+    assert [c.name for c in synchronised] == [c.name for c in truth]
 
 
 def test_a_pair_is_placed_in_spite_of_a_third_of_false_points():

@@ -104,6 +104,8 @@ def test_heights_that_cannot_be_true_together_and_names_of_nobody_are_refused(ta
         found(GivenLengths({"p0": 1.2, "p1": 2.1}))
     with pytest.raises(UserError, match="height_m of p7, but the cameras were estimated from p0, p1"):
         found(GivenLengths({"p7": 1.8}))
+    for advised in ("", "p1"):
+        assert len(found(GivenLengths({advised: 1.7}))[0]) == len(take[0])
     with pytest.raises(UserError, match="from camera left"):
         found(GivenLengths(between=("left", take[0][0].name), distance_m=3.0))
 

@@ -28,6 +28,7 @@ from studiorecon.scene.people import write_detections
 from tests.made.cameras import detect, ring, walk
 from tests.made.cameras_parts import DISTORTION, matrix, write_toml
 from tests.made.imported import imported
+from tests.made.remedies import follow, made_sentences
 
 FRAMES = 40
 
@@ -364,6 +365,29 @@ def test_a_calibration_of_other_cameras_is_refused(tmp_path, options):
         refined(tmp_path, given, truth, options(refine.Settings))
 
 
+@pytest.mark.parametrize(
+    ("place", "metres", "radians"),
+    [
+        ("cameras/refine.py _nothing_agrees", 10.0, 0.0),
+        ("cameras/calibration_check.py Check.refuse_cameras 2", 1.0, 0.35),
+    ],
+)
+def test_a_calibration_that_fits_nothing_is_refused_and_the_right_one_is_used(
+    tmp_path, options, place, metres, radians
+):
+    truth, rng = ring(), np.random.default_rng(0)
+    given = [
+        move_camera(
+            c,
+            exp(radians * rng.normal(size=3)) @ c.camera_from_world[:3, :3],
+            c.centre_m + metres * (rng.normal(size=3) if radians else np.array([0, 0, number])),
+        )
+        for number, c in enumerate(truth)
+    ]
+    settings = options(refine.Settings)
+    follow(place, lambda: refined(tmp_path, given, truth, settings), lambda: refined(tmp_path, truth, truth, settings))
+
+
 @pytest.mark.parametrize("pair", [(0, 1), (1, 3)])
 def test_swapped_cameras_are_refused_by_name(tmp_path, options, pair):
     """Some swaps leave every two cameras with somebody they agree on, and no three: that must not pass for
@@ -452,7 +476,12 @@ def test_cameras_that_all_moved_by_degrees_are_put_back_where_people_see_them(tm
                 camera, turn @ camera.camera_from_world[:3, :3], camera.centre_m + rng.uniform(0.15, 0.35) * way
             )
         )
-    model, _, report = refined(tmp_path, given, truth, options(refine.Settings))
+    with made_sentences() as made:
+        model, _, report = refined(tmp_path, given, truth, options(refine.Settings))
+    assert "rig/moved_cameras.py report_moved_cameras" in made
+    with made_sentences() as made:
+        refined(tmp_path, truth, truth, options(refine.Settings))
+    assert "rig/moved_cameras.py report_moved_cameras" not in made, "calibrated again"
     ours, true = ([c.camera_from_world[:3, :3] for c in group] for group in (model, truth))
     pairs = [(i, j) for i in range(len(truth)) for j in range(i)]
     between = [np.degrees(np.linalg.norm(log(ours[i] @ ours[j].T @ (true[i] @ true[j].T).T))) for i, j in pairs]

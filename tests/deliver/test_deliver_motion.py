@@ -150,6 +150,9 @@ def test_without_ezc3d_a_warning_says_that_trc_has_the_markers(
     monkeypatch.setattr("importlib.util.find_spec", lambda name: None)
     assert motion_files.c3d(tmp_path / "p2.c3d", person, body) == []
     assert "p2: no C3D file" in "".join(capsys.readouterr())
+    monkeypatch.undo()  # ezc3d is installed
+    assert motion_files.c3d(tmp_path / "p2.c3d", person, body)
+    assert "no C3D file" not in "".join(capsys.readouterr())
 
 
 @pytest.mark.parametrize(("frames", "files"), [(100, 1), (101, 2), (170, 2)])

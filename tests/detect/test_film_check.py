@@ -262,4 +262,7 @@ def test_chapters_are_compared_as_one_film(exchanged: bool, takes: list[Take], t
     refusal, frame, _ = read_from_files(tmp_path, tmp_path / "a.ffconcat", people[::order])
     messages = refusal + " ".join(read_keypoint_verdict(tmp_path / "a.json").notes)
     assert bool(messages) == exchanged
+    if not exchanged:
+        with pytest.raises(UserError, match="different numbers of keypoints"):
+            read_from_files(tmp_path, tmp_path / "a.ffconcat", [people[0], people[1][:, :, :16]])
     assert exchanged or set(frame.tolist()) == set(own.recorded.frame.tolist())

@@ -306,7 +306,7 @@ def test_corrected_identities_replace_what_association_would_say(tmp_path, peopl
     assert "corrected" in (tmp_path / "people.tsv").read_text()
 
 
-def test_nobody_is_an_empty_table_and_it_is_said(tmp_path, people_settings, capsys):
+def test_nobody_is_an_empty_table_and_it_is_said(tmp_path, people_settings, two_people, capsys):
     found = detect(ring(), [], 1.0, np.random.default_rng(0))
     people, identities = run_association(tmp_path, ring(), found, people_settings(associate.Settings))
     assert people == []
@@ -316,12 +316,19 @@ def test_nobody_is_an_empty_table_and_it_is_said(tmp_path, people_settings, caps
     reported = capsys.readouterr().out
     assert "warning: no camera has a detection" in reported
     assert "frames (c0, c1, c2, c3)" in reported
+    of_another_detector = detect(ring(), two_people, 1.0, np.random.default_rng(0))
+    assert run_association(tmp_path, ring(), of_another_detector, people_settings(associate.Settings))[0] == [
+        "p0",
+        "p1",
+    ]
+    assert "no camera has a detection" not in capsys.readouterr().out
 
 
 def test_people_in_two_frames_only_are_nobody_and_it_is_said(tmp_path, people_settings, two_people, capsys):
+    longer = detect(ring(), two_people, 1.0, np.random.default_rng(0))
     found = [
         replace(d, frame=d.frame[few], track=d.track[few], keypoints=d.keypoints[few])
-        for d in detect(ring(), two_people, 1.0, np.random.default_rng(0))
+        for d in longer
         for few in [d.frame < 2]
     ]
     people, _ = run_association(tmp_path, ring(), found, people_settings(associate.Settings))
@@ -329,6 +336,8 @@ def test_people_in_two_frames_only_are_nobody_and_it_is_said(tmp_path, people_se
     reported = capsys.readouterr().out
     assert "warning: no person was identified: 16 detections" in reported
     assert "bring a longer clip" in reported
+    assert run_association(tmp_path, ring(), longer, people_settings(associate.Settings))[0] == ["p0", "p1"]
+    assert "no person was identified" not in capsys.readouterr().out
 
 
 def test_the_same_inputs_give_the_same_bytes_and_people_are_numbered_by_appearance(

@@ -11,7 +11,9 @@ import pytest
 from studiorecon.footage.video import write_lossless
 from studiorecon.people import associate
 from studiorecon.people.association.acceptance import choose_groups, identities_from_keypoints
+from studiorecon.people.corrected_identities import people_table_rows, read_corrected_identities
 from studiorecon.scene.camera import Camera
+from studiorecon.scene.people import write_identities
 
 from tests.defaults import loaded
 from tests.made.cameras import detect, owner, ring, walk
@@ -78,17 +80,23 @@ def test_who_returns_after_four_seconds_keeps_the_name_where_clothes_and_size_sa
         assert "is away from 1.9 to 6.0 s and keeps the name by" in capsys.readouterr().out
 
 
-def test_a_return_that_nothing_decides_is_two_names_and_a_question(capsys):
+def test_a_return_that_nothing_decides_is_two_names_and_a_question(tmp_path, capsys):
     """Without pictures, and a size between both: nobody knows."""
     cameras, rng = ring(), np.random.default_rng(0)
     way = walk([1.0, -0.9, 0], [0, 0.008, 0], FRAMES, 1.0)
     people = [walk([-0.5, 0.8, 0], [0.02, 0, 0], FRAMES), away(way, 30, FRAMES), away(1.1 * way, 0, 90)]
     found = detect(cameras, people, 1.0, rng)
     options = loaded(associate.Settings)
-    _, rows, _ = identities_from_keypoints(options.association, options.triangulation, cameras, found, [], FRAMES, FPS)
+    table, rows, _ = identities_from_keypoints(
+        options.association, options.triangulation, cameras, found, [], FRAMES, FPS
+    )
     assert len(rows) == 3
     reported = capsys.readouterr().out
     assert "p2, seen from 6.0 s on, may be p1, who left at 1.9 s: undecided" in reported
+    given = {key: one.person.replace("p2", "p1") for key, one in table.items()}
+    write_identities(tmp_path / "identities.tsv", given)
+    corrected = read_corrected_identities(tmp_path / "identities.tsv", found)
+    assert [row[0] for row in people_table_rows(corrected, found)] == ["p0", "p1"]
 
 
 def test_groups_that_exclude_each_other_are_chosen_together() -> None:

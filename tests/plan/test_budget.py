@@ -268,5 +268,7 @@ def test_networks_have_the_papers_price(configured: Callable[..., dict], home: P
 
 def test_a_network_without_a_price_is_refused(configured: Callable[..., dict], home: Path) -> None:
     config = configured(dataset="resources/studio/demo.yaml", budget_min=5.0, depth={"source": "moge"})
-    with pytest.raises(UserError, match="moge"):
+    with pytest.raises(UserError, match="not moge; choose a preset"):
         choose_preset(config, {}, SCHEMA, make_plan(config, home), 2)
+    instead = merge(configured(dataset="resources/studio/demo.yaml", depth={"source": "moge"}), read_preset("look"))
+    assert make_plan(instead, home).networks.selected

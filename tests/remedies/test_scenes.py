@@ -17,6 +17,7 @@ import studiorecon
 from studiorecon.background.preparation import Photo, mask_people, read_photos
 from studiorecon.background.refinement import Refinement, refinement_cameras
 from studiorecon.body.model import BodyModel
+from studiorecon.calibration.from_people import _read_sightings
 from studiorecon.calibration.network import metres_per_unit
 from studiorecon.calibration.room_pictures import read_room_pictures
 from studiorecon.camera_files.calibration import read_lenses
@@ -39,6 +40,7 @@ from studiorecon.masks.user_masks import label_given_masks, read_given
 from studiorecon.render.replacement import replace_people
 from studiorecon.scene import user_files
 from studiorecon.scene.capture import write_footage
+from studiorecon.scene.clocks import Clocks
 from studiorecon.scene.factors import NONE
 from studiorecon.scene.files import read_json, write_json
 from studiorecon.scene.people import write_people
@@ -162,11 +164,13 @@ def person_trained(**temporal: Any) -> Call:
     return call
 
 
-def first_depth(value: float) -> Call:
+def first_depth(value: float, zoom: float = 1.0) -> Call:
     def call(f: Path) -> None:
         write_model(f / "model", CAMERAS)
+        lens = np.diag([zoom, zoom, 1.0])
+        write_model(f / "network", [replace(c, intrinsics=c.intrinsics * (lens + (lens == 0))) for c in CAMERAS])
         write_depth(f / "first.exr", value * FLAT, FLAT / 2)
-        depth_of_first("cam0", f / "model/images.txt", f / "first.exr", f / "model/images.txt", f / "out.exr")
+        depth_of_first("cam0", f / "model/images.txt", f / "first.exr", f / "network/images.txt", f / "out.exr")
 
     return call
 
@@ -335,6 +339,9 @@ ROWS: list[tuple[Any, ...]] = [
     ("results.py _people", *again(lambda made: (made / "humans/p0.npz").unlink(), "humans/p0.ply")),
     ("body/model.py BodyModel.require_same", of_body("another"), of_body(BODY.identity)),
     ("depth/first.py run", first_depth(0.0), first_depth(1.0), plan(depth={"reference": "planes"})),
+    ("rig/first_depth.py first_moment", first_depth(1.0, 1.3), first_depth(1.0), plan(depth={"reference": "planes"})),
+    ("calibration/from_people.py _read_sightings",
+     lambda _: _read_sightings([], {}, Clocks(30.0, 0.0, 9, ()), ["a"]), plan(calibration={"source": "files"})),
     ("views/fitted.py fit_picture", fitted(80), fitted(64)),
     ("window/people.py camera_film", camera_films(False), camera_films(True)),
     ("window/runs.py start_run", second_run(wait=False), second_run(wait=True)),

@@ -212,6 +212,7 @@ def test_the_command_prints_and_writes_one_table(
     for words, sentence in (
         (["run", "a", "c/b", "b"], "two takes are called b"),
         (["run", "a", "nowhere"], "no folder nowhere"),
+        (["run", "notes.txt", "--rig", "a"], "notes.txt is no folder"),
         (["run", "a", "b", "--", "--config", "scene=x"], "scene=x is for one take"),
     ):
         assert command.main(words) == 1
