@@ -111,7 +111,7 @@ def test_without_a_calibration_a_camera_that_sees_nobody_is_left_out_by_name(stu
     house = filmed(studio, tmp_path, lambda camera, _: camera != "cam3", calibrated=False)
     results, reported = run(house, "people/people.tsv", "views/path.json")
     assert named(results) == {"p0": "cam1,cam2,cam4", "p1": "cam1,cam2,cam4"}
-    assert "warning: camera cam3 is left out of this reconstruction: it sees nobody" in reported
+    assert "warning: camera cam3 is left out of this reconstruction: it sees no person" in reported
     assert not list((house.folder / "logs/films").rglob("second_look/cam3.log")), "nobody looks at it again"
 
 
