@@ -140,7 +140,7 @@ rule depth_room:
             allow_missing=True,
         ),
         box="results/{scene}/depth/box.json",
-        fits=files.people_for_furniture,
+        fits=files.people_in_room,
         kernels="results/{scene}/depth/kernels.txt",
     output:
         room_box="results/{scene}/depth/room.json",

@@ -61,13 +61,12 @@ def run(
     ``fits`` are bodies of people, whose paths furniture may not block, and behind whom unseen walls are.
     """
     cameras = read_model(model.parent)
-    swept, fitted = read_sweeps(sweeps, len(cameras)), read_room(box)
+    free_m = joint_places([read_person(path) for path in fits])
+    swept, fitted = read_sweeps(sweeps, len(cameras)), enclose_people(read_room(box), free_m[:, :3])
     pictures = equalise_exposure(read_pictures(cameras, plates, settings.sweep_width), swept.gains)
     furniture: list[Primitive] = []
     if settings.primitives and len(cameras) > 1:
         small = equalise_exposure(read_pictures(cameras, plates, settings.primitives_width), swept.gains)
-        free_m = joint_places([read_person(path) for path in fits])
-        fitted = enclose_people(fitted, free_m[:, :3])
         say(f"{len(free_m)} places of {len(fits)} people are kept free of furniture")
         furniture = fit_primitives(
             small,

@@ -156,9 +156,11 @@ class Files(UserInputs):
         """Body file of every person."""
         return [f"results/{wildcards.scene}/people/{person}.npz" for person in self.people(wildcards)]
 
-    def people_for_furniture(self, wildcards: Any) -> list[str]:
-        """Bodies of the people whose paths furniture may not block; none where ``depth.primitives`` is off."""
-        return self.fits(wildcards) if self.config["depth"]["primitives"] else []
+    def people_in_room(self, wildcards: Any) -> list[str]:
+        """Bodies of the people whom unseen walls enclose and whose paths furniture may not block; none where a network
+        decides alone."""
+        depth = self.config["depth"]
+        return self.fits(wildcards) if depth["primitives"] or depth["source"] == "embedded" else []
 
     def filmed_people(self, wildcards: Any) -> list[str]:
         """The training cameras; none when association found no person."""
