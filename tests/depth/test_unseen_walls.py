@@ -5,6 +5,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
+from unittest.mock import Mock
 
 import cv2
 import numpy as np
@@ -14,6 +15,7 @@ from studiorecon.depth.layout.unseen_walls import FloorEnds, enclose_people, fin
 from studiorecon.depth.layout.votes import Votes
 from studiorecon.depth.stereo.plates import Picture
 from studiorecon.geometry.camera_path import scene_centre
+from studiorecon.plan.rule_files import Files
 from studiorecon.rig.room_picture import RoomPicture
 from studiorecon.scene.camera import Camera
 from studiorecon.scene.room import RoomBox
@@ -171,3 +173,9 @@ def test_people_are_inside_the_walls_that_nothing_measured() -> None:
     measured = replace(box, fitted=np.ones(6, bool))
     np.testing.assert_array_equal(enclose_people(measured, person).high_m, box.high_m)
     np.testing.assert_array_equal(enclose_people(box, np.zeros((0, 3))).high_m, box.high_m)
+
+
+@pytest.mark.parametrize(("source", "primitives", "taken"), [("embedded", 0, 1), ("moge", 3, 1), ("moge", 0, 0)])
+def test_people_take_part_in_the_room_unless_a_network_decides_alone(source: str, primitives: int, taken: int) -> None:
+    files = Mock(config={"depth": {"source": source, "primitives": primitives}}, fits=lambda _: ["p0.npz"])
+    assert len(Files.people_in_room(files, None)) == taken
