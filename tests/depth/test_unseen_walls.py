@@ -81,7 +81,7 @@ def blank(cameras: Sequence[Camera]) -> list[np.ndarray]:
 def test_a_wall_that_one_camera_sees_is_at_the_feet_of_its_uprights() -> None:
     one = [camera(0.0, -3.0), camera(-3.0, 0.5, (0.0, -1.0))]
     box, interval_m = placed(one, [drawn(one[0], WALL, 0), blank(one)[1]])
-    assert box.high_m[1] == pytest.approx(4.0, abs=0.4)
+    assert box.high_m[1] == pytest.approx(4.0, abs=0.6)
     assert interval_m[3, 0] < 4.0 < interval_m[3, 1]
     assert np.ptp(interval_m[3]) < np.ptp(placed(one, blank(one))[1][3]) / 1.5
     assert not box.fitted.any(), "nothing was matched there"
@@ -147,7 +147,7 @@ def test_intervals_cover_the_walls_of_rooms_with_furniture_and_pictures() -> Non
         margin_m = np.exp(rng.normal(np.log(1.5), np.hypot(0.7, 0.6)))
         eye_m, wall_m = CAMERAS[0].centre_m[:2] @ axes()[1, :2], -1.0 + margin_m
         wall_m += max(0.0, placed_from(CAMERAS) + 1.0)
-        kind, distance_m = rng.choice(3, 12, p=[0.2, 0.35, 0.45]), wall_m - eye_m
+        kind, distance_m = rng.choice(3, 12, p=[0.08, 0.27, 0.65]), wall_m - eye_m
         foot_m = np.choose(kind, [np.full(12, distance_m), distance_m * rng.random(12), distance_m / rng.random(12)])
         foot_m = foot_m + eye_m + rng.normal(0, 0.16, 12)
         feet = GroundContacts(foot_m[:, None] * towards, towards, np.full(12, 0.01), np.zeros(12, int))

@@ -77,6 +77,6 @@ def test_a_file_that_lacks_entries_is_refused(tmp_path: Path, checkout: Path, mo
     for file in CARD.weights:
         (tmp_path / file.path).parent.mkdir(exist_ok=True)
         (tmp_path / file.path).touch()
-    with pytest.raises(UserError, match=r"mapanything are no weights of MapAnything .*Missing key"):
+    with pytest.raises(UserError, match=r"mapanything holds no weights of MapAnything .*Missing key"):
         load("pose and depth", "mapanything", tmp_path, "cpu")
     monkeypatch.delitem(sys.modules, "dinov2")

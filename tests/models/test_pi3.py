@@ -278,5 +278,5 @@ def test_pi3x_needs_every_entry_but_those_of_what_is_not_given(
         assert not hasattr(load("pose and depth", "pi3x", tmp_path, "cpu")._network, "ray_embed")
         return
     # Naive, strict=False: a file of another network loads, and the rest stays random.
-    with pytest.raises(UserError, match=r"pi3x/model\.safetensors are no weights of Pi3X"):
+    with pytest.raises(UserError, match=r"pi3x/model\.safetensors holds no weights of Pi3X"):
         load("pose and depth", "pi3x", tmp_path, "cpu")

@@ -46,7 +46,7 @@ def test_torchvisions_network_with_random_weights_runs_from_a_file(
     monkeypatch.setattr(raft, "staged_weights", lambda _card, weights: weights)
     file = tmp_path / "raft/raft_large_C_T_SKHT_V2.pth"
     file.write_bytes(b"no weights")
-    with pytest.raises(UserError, match="are no weights of RAFT"):
+    with pytest.raises(UserError, match="holds no weights of RAFT"):
         load("flow", "raft", tmp_path, "cpu")
     torch.save(flows.raft_large(weights=None, progress=False).state_dict(), file)
     rng = np.random.default_rng(0)

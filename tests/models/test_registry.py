@@ -81,6 +81,11 @@ def test_no_gpu_is_a_sentence_with_the_remedy() -> None:
 
 
 def test_a_checkpoint_that_would_run_code_is_a_sentence() -> None:
-    refused = pytest.raises(UserError, match=r"x\.pt are no weights of Fixer \(Unsupported global.*delete them")
+    refused = pytest.raises(UserError, match=r"x\.pt holds no weights of Fixer \(Unsupported global.*delete it")
     with refused, loading(find_card("fixer"), Path("x.pt")):
         raise pickle.UnpicklingError("Unsupported global: pathlib.Path\nmore")
+
+
+def test_a_lack_of_memory_blames_no_weights() -> None:
+    with pytest.raises(RuntimeError, match="out of memory"), loading(find_card("fixer"), Path("x.pt")):
+        raise RuntimeError("CUDA out of memory. Tried to allocate 2.00 GiB")

@@ -44,15 +44,12 @@ class NetworkLabels:
     hw: tuple[int, int]
 
     def __iter__(self) -> Iterator[Integer[np.ndarray, "H W"]]:
+        wrong = f"it has not the {self.count} frames of {self.hw[1]}×{self.hw[0]} of the video"
         number = -1
         for number, labels in enumerate(read_frames(self.film)):
-            if labels.shape != self.hw or number >= self.count:
-                break
+            require(self.film, labels.shape == self.hw and number < self.count, wrong)
             yield labels
-        else:
-            if number + 1 == self.count:
-                return
-        require(self.film, False, f"it has not the {self.count} frames of {self.hw[1]}×{self.hw[0]} of the video")
+        require(self.film, number + 1 == self.count, wrong)
 
 
 @dataclass(frozen=True)

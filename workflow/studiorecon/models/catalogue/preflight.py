@@ -16,6 +16,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from studiorecon.errors import UserError
+from studiorecon.machine.resource_errors import is_memory_error
 from studiorecon.models.catalogue.card import Card
 from studiorecon.models.catalogue.checksums import PINS, read_pins, repository_code, verify, write_pins
 from studiorecon.models.catalogue.sandbox import confine_process
@@ -101,8 +102,11 @@ def loading(card: Card, path: Path) -> Iterator[None]:
     try:
         yield
     except (pickle.UnpicklingError, KeyError, TypeError, RuntimeError) as error:
+        # torch's lack of memory is a RuntimeError, and no fault of the file.
+        if "out of memory" in str(error) or is_memory_error(error):
+            raise
         raise UserError(
-            f"{path} are no weights of {card.title} ({first_line(error)}); delete them and run snakemake weights"
+            f"{path} holds no weights of {card.title} ({first_line(error)}); delete it and run snakemake weights"
         ) from None
 
 
