@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 import os
+import sys
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
@@ -221,7 +222,7 @@ def second_run(wait: bool) -> Call:
             runs.start_run("takes", "", ["sleep", "30" if not wait else "0.01"])
             while wait and runs.current_run():
                 runs.time.sleep(0.01)
-            runs.start_run("takes", "", ["true"])
+            runs.start_run("takes", "", [sys.executable, "-c", ""])
         finally:
             runs.stop_run()
 
