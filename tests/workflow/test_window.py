@@ -273,17 +273,33 @@ def test_the_table_of_takes_has_every_chosen_one(window: LocalServer, home: Path
 
 
 def test_a_run_of_a_terminal_is_shown_and_not_stopped(home: Path, stand_in: Path, window: LocalServer) -> None:
-    (home / "go").unlink(missing_ok=True)
     with subprocess.Popen([sys.executable, str(stand_in)], cwd=home) as terminal:
-        wait((home / "began").exists)
-        write_json(PROGRESS, {"scene": "take", "on": True, "pid": terminal.pid, "done": 3, "total": 9, "failed": []})
-        run = request(window, "api/run")[1]["run"]
-        assert (run["ours"], run["done"], run["total"]) == (False, 3, 9)
-        assert request(window, "api/start", {"name": "take", "goal": "film"})[0] == 400
-        assert "terminal" in request(window, "api/stop", {})[1]["error"]
-        terminal.send_signal(signal.SIGKILL)
+        try:
+            wait((home / "began").exists)
+            write_json(
+                PROGRESS, {"scene": "take", "on": True, "pid": terminal.pid, "done": 3, "total": 9, "failed": []}
+            )
+            run = request(window, "api/run")[1]["run"]
+            assert (run["ours"], run["done"], run["total"]) == (False, 3, 9)
+            assert request(window, "api/start", {"name": "take", "goal": "film"})[0] == 400
+            assert "terminal" in request(window, "api/stop", {})[1]["error"]
+        finally:
+            terminal.send_signal(signal.SIGKILL)
         terminal.wait()
         assert request(window, "api/run")[1]["run"] is None, "a killed run is not on, whatever its file says"
+
+
+def test_a_run_is_shown_where_its_session_began_outside_of_the_container(
+    home: Path, stand_in: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(os, "getsid", lambda _pid: 0)
+    with subprocess.Popen([sys.executable, str(stand_in)], cwd=home) as terminal:
+        try:
+            wait((home / "began").exists)
+            write_json(PROGRESS, {"scene": "take", "on": True, "pid": terminal.pid})
+            assert runs.current_run() is not None
+        finally:
+            terminal.send_signal(signal.SIGKILL)
 
 
 def test_a_window_that_nobody_uses_costs_nothing(window: LocalServer) -> None:

@@ -45,8 +45,8 @@ def current_run() -> dict[str, Any] | None:
     Progress: ``done`` and ``total`` jobs, ``left`` (words), ``running``, ``stages`` (name, done, total), ``failed``.
     """
     ours, progress = _alive(_read(_OURS)), _read(PROGRESS)
-    session = _session_of(progress.get("pid", 0)) if progress.get("on") else 0
-    if session and (not ours or session == ours["pid"]):
+    session = _session_of(progress.get("pid", 0)) if progress.get("on") else None
+    if session is not None and (not ours or session == ours["pid"]):
         return {"goal": "film", **ours, **progress, "ours": bool(ours)}
     return {**ours, "ours": True, "left": "starting"} if ours else None
 
@@ -158,11 +158,14 @@ def _alive(run: dict[str, Any]) -> dict[str, Any]:
         return {}
 
 
-def _session_of(pid: int) -> int:
-    """The session of a run in this folder, by the number of Snakemake's process; 0 where it is none, or has ended."""
+def _session_of(pid: int) -> int | None:
+    """The session of a run in this folder, by the number of Snakemake's process; None where it is none, or has ended.
+
+    In a container it can be 0: the leader of the session is then a process outside.
+    """
     try:
         process = psutil.Process(pid)
         here = any("snakemake" in word for word in process.cmdline()) and Path(process.cwd()) == Path.cwd()
-        return os.getsid(pid) if here and process.status() != psutil.STATUS_ZOMBIE else 0
+        return os.getsid(pid) if here and process.status() != psutil.STATUS_ZOMBIE else None
     except (psutil.Error, OSError):
-        return 0
+        return None
