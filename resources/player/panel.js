@@ -38,6 +38,8 @@ function makePanel(player) {
     });
   }
 
+  // On a phone the picture comes first: the title opens the controls.
+  panel.open = !matchMedia("(max-width: 640px)").matches;
   at("panel").querySelector("h1").textContent = scene.scene;
   const cameras = section("View from camera");
   buttons(cameras, "camera", scene.cameras);

@@ -337,6 +337,18 @@ def test_keys_are_shown_the_view_is_reset_and_speed_and_loop_fit_a_phone(browser
         browser.call("Emulation.clearDeviceMetricsOverride")
 
 
+def test_on_a_phone_the_controls_leave_the_picture_free(browser: Browser, page: Path) -> None:
+    browser.call("Emulation.setDeviceMetricsOverride", width=390, height=700, deviceScaleFactor=1, mobile=True)
+    height = "document.getElementById('panel').getBoundingClientRect().height"
+    try:
+        opened(browser, page)
+        assert browser.run(height) < 60, "closed at first"
+        browser.run("document.querySelector('#panel > details').open = true")
+        assert 150 < browser.run(height) < 0.45 * 700
+    finally:
+        browser.call("Emulation.clearDeviceMetricsOverride")
+
+
 @pytest.mark.parametrize(("people", "frames"), [(0, 3), (7, 2), (1, 1)])
 def test_scenes_of_all_sizes_open(browser: Browser, tmp_path: Path, people: int, frames: int) -> None:
     scene = scene_of(people, frames, things=False, step_m=0.5, degree=0)
