@@ -32,6 +32,7 @@ wildcard_constraints:
 onstart:
     # What only plans opens no film.
     refuse_unreadable()
+    refuse_missing_weights()
     refuse_unwritable(written_files())
 
 

@@ -77,6 +77,15 @@ def test_a_network_that_is_fetched_is_an_input_once_it_is_there(house: House, da
     assert "rtmpose-m-halpe26-256x192.onnx: 0.056 GB; free to fetch; SHA-256 26f3a19e" in listed
 
 
+def test_a_run_begins_only_with_every_file_of_its_networks(house: House, tmp_path: Path) -> None:
+    wanted = ("--cores", "1", "--configfile", house.overlay(depth={"source": "moge"}, weights=str(tmp_path)))
+    refused = house.snakemake("results/tiny/depth/cam1.exr", *wanted, check=False)
+    assert refused.returncode != 0
+    assert f"needs {tmp_path}/moge/" in refused.stdout
+    assert "Finished job" not in refused.stdout, "no job ran before"
+    assert house.plan(*wanted[2:])["depth_network"] == 1, "a plan needs no weights"
+
+
 @pytest.mark.parametrize(("remove", "words"), [("keypoints/back", "camera back"), ("videos", "neither videos")])
 def test_what_is_missing_is_named_before_anything_runs(house: House, dataset: Path, remove: str, words: str) -> None:
     (dataset / remove).rename(dataset / ".hidden")

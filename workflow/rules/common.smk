@@ -26,7 +26,7 @@ from studiorecon.plan.decisions import camera_pattern
 from studiorecon.plan.rule_files import Files
 from studiorecon.plan.make import make_plan
 from studiorecon.plan.films import unreadable_footage
-from studiorecon.plan.networks import read_images
+from studiorecon.plan.networks import missing_files, read_images
 from studiorecon.configuration.overlays import check_overlay
 from studiorecon.configuration.schema import mistakes, coerce_types
 from studiorecon.progress import print_error
@@ -120,6 +120,13 @@ def refuse_unreadable():
     if sentences := unreadable_footage(
         {c: [film for film in parts if str(film) in read] for c, parts in films.items()}
     ):
+        refuse("\n".join(sentences))
+
+
+def refuse_missing_weights():
+    """Refuse a run whose networks lack a file, before hours of other steps."""
+    steps = {job.rule.name.replace("_", ".", 1) for job in workflow.dag.needrun_jobs()}
+    if sentences := missing_files(PLAN.networks, config, steps):
         refuse("\n".join(sentences))
 
 

@@ -3,15 +3,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import yaml
 
+from studiorecon.models.catalogue.preflight import missing_weights
 from studiorecon.models.catalogue.registry import MODELS
-from studiorecon.models.catalogue.selection import check_licences, select_networks
+from studiorecon.models.catalogue.selection import check_licences, networks_of_step, select_networks
 
 _LPIPS = ("lpips", "lpips_alex")
 
@@ -85,6 +86,15 @@ def choose_networks(config: Mapping[str, Any], home: Path) -> Networks:
         rasteriser_image="vision" if on_gpu or compared else "core",
         rasteriser_gpus=int(on_gpu),
     )
+
+
+def missing_files(networks: Networks, config: Mapping[str, Any], steps: Collection[str]) -> list[str]:
+    """A sentence for each network that one of these ``steps`` ("stage.step") runs and whose files are not all there."""
+    compare = any(step.partition(".")[0] in networks.lpips_stages for step in steps)
+    names = {name for step in steps for name in networks_of_step(step, config)}
+    names |= set(_LPIPS).intersection(networks.selected if compare else ())
+    found = (missing_weights(MODELS[name], Path(networks.weights)) for name in sorted(names))
+    return [sentence for sentence in found if sentence]
 
 
 def _network(source: str) -> str:

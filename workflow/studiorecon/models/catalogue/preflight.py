@@ -27,6 +27,20 @@ if TYPE_CHECKING:
     from jaxtyping import Num
 
 
+def missing_weights(card: Card, folder: Path) -> str:
+    """The sentence on the first file of the ``card`` that is not in the weights ``folder``; empty where all are."""
+    for file in card.weights:
+        if not (folder / file.path).is_file():
+            where = f"{file.source} {file.repository}".strip()
+            gate = "; request access there" if file.gated else ""
+            return (
+                f"{card.title} needs {folder / file.path}, which is missing: get it from {where}{gate} (snakemake "
+                f"weights fetches files that need no registration; licence: {card.terms.weights}), or choose "
+                "another back end"
+            )
+    return ""
+
+
 def staged_weights(card: Card, folder: Path) -> Path:
     """The weights folder, if every file of the ``card`` is in it and verified; raises UserError with the first wrong
     one.
@@ -34,17 +48,11 @@ def staged_weights(card: Card, folder: Path) -> Path:
     A file is hashed only when it has changed since the last check; a file added by hand is compared with its published
     checksum and then pinned. Also confines this process (``sandbox``).
     """
+    if missing := missing_weights(card, folder):
+        raise UserError(missing)
     known = read_pins(folder)
     pins = dict(known)
     for file in card.weights:
-        if not (folder / file.path).is_file():
-            where = f"{file.source} {file.repository}".strip()
-            gate = "; request access there" if file.gated else ""
-            raise UserError(
-                f"{card.title} needs {folder / file.path}, which is missing: get it from {where}{gate} (snakemake "
-                f"weights fetches files that need no registration; licence: {card.terms.weights}), or choose "
-                "another back end"
-            )
         if file.path not in pins and not (file.sha256 or file.md5):
             say(f"{folder / file.path} is new: its checksum is recorded and verified from now on")
         pins[file.path] = verify(folder, file, pins)

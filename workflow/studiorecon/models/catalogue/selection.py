@@ -76,18 +76,24 @@ def select_networks(config: Mapping[str, Any]) -> list[tuple[str, str]]:
     return found
 
 
-def adapter_modules(step: str, config: Mapping[str, Any]) -> list[str]:
-    """Modules of the adapters that ``"stage.step"`` runs under this configuration, by name and without import."""
-    if step == "report.page":  # shows every card
-        return sorted({adapter_module(name) for _, name in select_networks(config)})
+def networks_of_step(step: str, config: Mapping[str, Any]) -> list[str]:
+    """Names of the networks that ``"stage.step"`` runs under this configuration, but LPIPS."""
     names = [str(setting_at(config, where)) for where, choice in CHOICES.items() if step in choice.steps]
     # Networks of another stage's setting, which the rule passes on.
     names += [str(setting_at(config, "depth.source"))] if step == "people.lift" else []
     names += [str(setting_at(config, f"enhance.{key}")) for key in ("enhancer", "flow") if step == "background.refined"]
     names += [str(setting_at(config, "masks.source"))] if step == "views.people" else []
     names += [CANONICAL] if step == "humans.canonical" else []
-    own = {"models.adapters.onnx_depth"} if step == "depth.network" and "onnx" in names else set()
-    return sorted({adapter_module(name) for name in names if name in MODELS} | own)
+    return [name for name in names if name in MODELS]
+
+
+def adapter_modules(step: str, config: Mapping[str, Any]) -> list[str]:
+    """Modules of the adapters that ``"stage.step"`` runs under this configuration, by name and without import."""
+    if step == "report.page":  # shows every card
+        return sorted({adapter_module(name) for _, name in select_networks(config)})
+    own_file = step == "depth.network" and setting_at(config, "depth.source") == "onnx"
+    own = {"models.adapters.onnx_depth"} if own_file else set()
+    return sorted({adapter_module(name) for name in networks_of_step(step, config)} | own)
 
 
 def setting_at(config: Mapping[str, Any], where: str) -> Any:
