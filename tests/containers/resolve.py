@@ -46,9 +46,7 @@ COMPILED = ("transformer-engine", "pytorch3d", "apex", "simple-knn", "diff-gauss
 MODULES = {
     "vision": ("torchvision.models.optical_flow", "lpips", "kornia", "huggingface_hub"),
     "pi3": ("pi3.models.pi3", "pi3.models.pi3x"),
-    "mapanything": ("mapanything.models", "dinov2", "mapanything.utils.image"),
     "moge": ("moge.model.v2",),
-    "moge3": ("moge.model.v3",),
     "sam3": ("transformers.models.sam3_video.modeling_sam3_video",),
     # Its other modules want SMPL's file as soon as they are imported.
     "comotion": ("comotion_demo.utils.dataloading",),

@@ -29,7 +29,6 @@ RULES = sorted((ROOT / "workflow/rules").glob("*.smk"))
 # What a package is imported as.
 PACKAGES = {
     "cv2": ("opencv-python-headless", "opencv-contrib-python-headless", "opencv-python"),
-    "pxr": ("usd-core",),
     "yaml": ("pyyaml",),
     "OpenEXR": ("openexr",),
 }
@@ -230,7 +229,7 @@ def test_every_rules_container_exists() -> None:
 def test_numpy_two_only_where_upstream_bears_it() -> None:
     for name in IMAGES:
         numpy = Version(next(iter(pins(name)["numpy"].specifier)).version)
-        assert (numpy.major == 2) == (name in ("core", "driver", "vision", "mapanything"))
+        assert (numpy.major == 2) == (name in ("core", "driver", "vision"))
 
 
 def test_weights_are_fetched_where_every_client_is() -> None:

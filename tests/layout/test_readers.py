@@ -39,7 +39,6 @@ NO_NOUN = {
     "report/sections": "tables that come with the project, logs and times of Snakemake",
     "pages": "templates that come with the project",
     "report/metrics/folders.py": "pictures and films of users",
-    "report/compare.py": "results that users compare",
     "detector/network_files.py": "the confidence table that comes with the detector",
     "depth/estimates.py": "depth of users and networks",
     "tracks/bodies.py": "bodies of networks that ran elsewhere",

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Pi3 and MapAnything: planted rooms come back through their conventions; logits, squashed pictures, edges and gauges
+"""Pi3: planted rooms come back through their conventions; logits, squashed pictures, edges and gauges
 do no harm."""
 
 from __future__ import annotations

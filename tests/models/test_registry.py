@@ -41,9 +41,8 @@ def test_what_forbids_commercial_use_names_what_does_instead() -> None:
         if alternative in MODELS:
             assert find_card(alternative).kind == entry.kind
             assert find_card(alternative).terms.commercial != "no"
-    assert find_card("pi3").terms.alternative == "mapanything"
     assert find_card("difix").terms.alternative == "fixer"
-    assert [m.name for m in cards_of_kind("monocular depth")] == ["moge", "moge3", "moge_vits", "moge_vitb"]
+    assert [m.name for m in cards_of_kind("monocular depth")] == ["moge", "moge_vits", "moge_vitb"]
 
 
 def test_a_missing_weight_is_named_with_its_source_and_found_once_it_is_there(

@@ -240,10 +240,10 @@ def test_a_configuration_says_which_networks_it_uses_and_commerce_refuses_some()
         ("body", "smpl"),
     ]
     check_licences(config)
-    with pytest.raises(UserError, match=r"depth\.source is pi3.*set it to mapanything"):
+    with pytest.raises(UserError, match=r"depth\.source is pi3.*set it to the stage's own"):
         check_licences({**config, "licences": "commercial"})
     with pytest.raises(UserError, match=r"body is smpl.*the bundled body"):
-        check_licences({**config, "licences": "commercial", "depth": {"source": "mapanything"}})
+        check_licences({**config, "licences": "commercial", "depth": {"source": "moge"}})
     rows = licence_rows(config)
     assert [r["commercial"] for r in rows] == ["no", "yes", "yes", "no"]
     assert rows[0]["weights"] == "CC BY-NC 4.0"

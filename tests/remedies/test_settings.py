@@ -120,7 +120,7 @@ PLANS = [
               {"enhance": {"injection": {"history": 0}}}, force("injection")),
     *settings(f"{CHECKS} _lifting 1", {**BEHIND, "calibration": {"source": "files"}}, BEHIND, {"people": RAYS}),
     *settings(f"{CHECKS} _lifting 2", {"people": SCENE, "calibration": NETWORK}, BEHIND,
-              {**BEHIND, "depth": {"source": "moge3"}}, {"people": RAYS, "calibration": NETWORK}),
+              {"people": RAYS, "calibration": NETWORK}),
     *settings(f"{CHECKS} _lifting 3", {**BEHIND, "detect": {"source": "detector"}},
               {**BEHIND, "detect": {"source": "comotion"}}, {**BEHIND, "detect": {"source": "keypoints"}},
               {**BEHIND, "people": RAYS, "detect": {"source": "detector"}}),
@@ -146,8 +146,7 @@ PLANS = [
     *settings("plan/make.py make_plan", {"scene": "studio"}, {"scene": "studio1"}),
     *settings("scene/names.py check_name", {"scene": "a/b"}, {"scene": "a b"}),
     *settings("models/catalogue/selection.py check_licences", {"calibration": NETWORK, "licences": "commercial"},
-              {"calibration": NETWORK, "licences": "any"},
-                  {"calibration": {"source": "mapanything"}, "licences": "commercial"}),
+              {"calibration": NETWORK, "licences": "any"}),
 ]  # fmt: skip
 
 

@@ -18,7 +18,7 @@ from studiorecon.errors import UserError
 from studiorecon.footage.exr import write_depth
 from studiorecon.footage.video import read_frame, write_lossless, write_watchable
 from studiorecon.models.adapters.lpips import read_lpips
-from studiorecon.report import compare, evaluate, score
+from studiorecon.report import evaluate, score
 from studiorecon.report.metrics import films
 from studiorecon.report.metrics.bodies import align_by_similarity, compare_bodies, match_people
 from studiorecon.report.metrics.estimated import EstimatedFiles, estimated_regions
@@ -435,32 +435,6 @@ def test_one_film_or_one_folder_of_pictures_is_one_camera(tmp_path: Path) -> Non
 def test_scoring_twice_gives_the_same_bytes(tmp_path: Path) -> None:
     write_folders(tmp_path, frames=8)
     assert scored(tmp_path, "one.json").read_bytes() == scored(tmp_path, "two.json").read_bytes()
-
-
-def test_a_better_result_differs_from_an_equal_one(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    for name, shift in (("worse", 12), ("better", 6)):
-        write_folders(tmp_path / name, shift)
-        scored(tmp_path / name, "m.json")
-    worse, better = tmp_path / "worse/m.json", tmp_path / "better/m.json"
-    arguments = ["report.compare", "--first", str(worse), "--second", str(better), "--output", str(tmp_path / "c.json")]
-    assert command.main(arguments) == 0
-    found = read_json(tmp_path / "c.json")["psnr"]
-    assert found["significant"] is True
-    assert found["interval"][0] > 3
-    assert (found["drawn"], found["pairs"]) == ("blocks of frames", 60)
-    assert "over blocks of frames" in capsys.readouterr().out
-    compare.run([worse], [worse], output=tmp_path / "same.json")
-    same = read_json(tmp_path / "same.json")["psnr"]
-    assert (same["difference"], same["significant"]) == (0.0, False)
-    again = [
-        shutil.copy(file, tmp_path / f"{file.parent.name}{seed}.json") for file in (worse, better) for seed in (1, 2)
-    ]
-    compare.run([worse, *again[:2]], [better, *again[2:]], output=tmp_path / "seeds.json")
-    assert read_json(tmp_path / "seeds.json")["psnr"]["first"] == {
-        "mean": found["first"]["mean"],
-        "half_range": 0.0,
-        "seeds": 3,
-    }
 
 
 @pytest.mark.parametrize("frames", [[0, 2, 4, 6, 8, 10], [0, 1, 2], None])

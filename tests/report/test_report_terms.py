@@ -25,7 +25,7 @@ def test_a_run_without_networks_says_so(configuration: dict, root: Path) -> None
 
 @pytest.mark.parametrize(
     ("source", "expected"),
-    [("moge", "yes"), ("mapanything", "yes"), ("precomputed", "unknown"), ("pi3", "no")],
+    [("moge", "yes"), ("precomputed", "unknown"), ("pi3", "no")],
     ids=lambda v: v,
 )
 def test_the_strictest_terms_decide(configuration: dict, root: Path, source: str, expected: str) -> None:

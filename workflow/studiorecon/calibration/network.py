@@ -98,8 +98,8 @@ def metres_per_unit(lengths: Float[np.ndarray, " L"], torso_m: float, metric: bo
             )
         raise UserError(
             f"{title} has no unit, and no person's shoulders and hips are visible in the first "
-            "frame: add keypoint files, set calibration.source to mapanything or pi3x, which "
-            "estimate metres, or add a calibration"
+            "frame: add keypoint files, set calibration.source to pi3x, which "
+            "estimates metres, or add a calibration"
         )
     spread = float(np.percentile(usable, 75) / np.percentile(usable, 25))
     if spread > _WIDEST:

@@ -88,7 +88,7 @@ class KeyFrame:
 
 
 class PoseAndDepth(Protocol):
-    """Estimates cameras and depth: Pi3, Pi3X, MapAnything."""
+    """Estimates cameras and depth: Pi3, Pi3X."""
 
     def reconstruct(self, pictures: Sequence[Integer[np.ndarray, "H W 3"]], names: Sequence[str]) -> Reconstruction:
         """Cameras and depth of pictures (H, W, 3) uint8 of one moment."""

@@ -5,5 +5,5 @@ In: all results; out: ``metrics.json``, ``index.html``.
 
 Steps: ``recognition`` (detector scores of people in the films), ``evaluate`` (measures), ``audit`` (effects that only a
 trained scene shows), ``picture`` (an overview), ``page``, ``strict`` (turns warnings into an error). Run by hand:
-``score`` (pictures of any method), ``compare`` (two results). Below them: ``metrics`` and ``sections``.
+``score`` (pictures of any method). Below them: ``metrics`` and ``sections``.
 """

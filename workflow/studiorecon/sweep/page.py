@@ -14,7 +14,7 @@ from typing import Any
 from studiorecon.errors import UserError
 from studiorecon.pages import html
 from studiorecon.progress import say
-from studiorecon.report.metrics.bootstrap import Bootstrap, paired_difference
+from studiorecon.report.metrics.bootstrap import Bootstrap, difference_interval
 from studiorecon.report.sections.cost import pareto_front
 from studiorecon.report.sections.tables import duration
 from studiorecon.scene.files import read_json, write_text
@@ -84,9 +84,9 @@ def parameter_effects(base: Record, records: Sequence[Record]) -> list[tuple[Rec
     found = []
     for record in records:
         if not base["failed"] and record["parameter"] and not record["failed"]:
-            paired = paired_difference({"scene": (base["frames"], record["frames"])}, _BOOTSTRAP)
+            interval = difference_interval(base["frames"], record["frames"], _BOOTSTRAP)
             gain_db = record["metrics"]["psnr"] - base["metrics"]["psnr"]
-            found.append((record, gain_db, paired["interval"], record["from_nothing_s"] - base["from_nothing_s"]))
+            found.append((record, gain_db, interval, record["from_nothing_s"] - base["from_nothing_s"]))
     return sorted(found, key=lambda entry: (-abs(entry[1]), entry[0]["name"]))
 
 

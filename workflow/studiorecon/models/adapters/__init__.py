@@ -6,7 +6,7 @@ Each has ``CARDS`` (terms, weights, image, memory) and ``ADAPTER``, the class th
 tested without it. Upstream is imported inside functions only: the modules run on Python 3.10 with old numpy, in images
 of their own.
 
-In the order of the data: ``pi3``, ``mapanything`` (cameras and depth), ``moge``, ``onnx_depth`` (depth), ``sam3``
+In the order of the data: ``pi3`` (cameras and depth), ``moge``, ``onnx_depth`` (depth), ``sam3``
 (people's masks), ``comotion`` (bodies), ``gen3c`` with ``gen3c_request`` (views), ``difix``, ``fixer`` (repaired
 pictures), ``raft`` (flow), ``lpips`` (distance), ``lhm`` (people in a rest pose).
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""MoGe-2 and MoGe-3 (Wang et al. 2025): depth of one picture, roughly in metres, of an independent scale.
+"""MoGe-2 (Wang et al. 2025): depth of one picture, roughly in metres, of an independent scale.
 
 Outside its mask upstream returns +inf. It takes a known focal length as the horizontal field of view in degrees, and
 assumes a centred principal point and square pixels.
@@ -27,7 +27,6 @@ from studiorecon.models.catalogue.preflight import (
 if TYPE_CHECKING:
     from jaxtyping import Bool, Float, Integer
 
-INSTEAD = "set depth.source to embedded"
 MOGE = Card(
     name="moge",
     title="MoGe-2 (ViT-L, normals)",
@@ -50,36 +49,9 @@ MOGE = Card(
     memory=Memory(6.0, "one picture at a time, ViT-L in half precision; our estimate"),
     tried="random weights",
     unchecked="a GPU",
-    instead=INSTEAD,
+    instead="set depth.source to embedded",
 )
-MOGE3 = Card(
-    name="moge3",
-    title="MoGe-3 (ViT-L)",
-    kind="monocular depth",
-    terms=Terms(code="MIT", weights="MIT", commercial="yes"),
-    weights=(
-        WeightFile(
-            "moge/moge-3-vitl.pt",
-            HUB,
-            "Ruicheng/moge-3-vitl",
-            1.48,
-            "model.pt",
-            revision="184008f877d7ad1ad4c2cd2182a9bd1f63d0e5be",
-            sha256="9b41b7b9f65ad80aab7ad686f5e9cc0d1fd33f1964022618dfbcd52fc1fb7925",
-        ),
-    ),
-    runtime=Runtime(
-        image="moge3", python=">=3.10", torch=">=2.4", pins=("utils3d-moge", "FlexGEMM v2"), commit="74fbce0"
-    ),
-    memory=Memory(8.0, "one picture at a time; our estimate"),
-    tried="never",
-    unchecked="its newest source; FlexGEMM's kernels",
-    instead=INSTEAD,
-)
-CARDS = (MOGE, MOGE3)
-
-
-_MODULES = {"moge": "moge.model.v2", "moge3": "moge.model.v3"}
+CARDS = (MOGE,)
 
 
 def preprocess(picture: Integer[np.ndarray, "H W 3"]) -> Float[np.ndarray, "3 H W"]:
@@ -114,7 +86,7 @@ class Moge:
 
     def __init__(self, card: Card, weights: Path, where: str) -> None:
         file = staged_weights(card, weights) / card.weights[0].path
-        network = attribute(card, import_upstream(card, _MODULES[card.name]), "MoGeModel")
+        network = attribute(card, import_upstream(card, "moge.model.v2"), "MoGeModel")
         self._card, self._device = card, torch_device(card, where)
         with loading(card, file):
             self._network = network.from_pretrained(str(file)).to(self._device).eval()

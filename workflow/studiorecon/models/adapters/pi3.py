@@ -43,7 +43,6 @@ PI3 = Card(
         weights="CC BY-NC 4.0",
         commercial="no",
         condition="non-commercial weights",
-        alternative="mapanything",
     ),
     weights=(
         WeightFile(
@@ -79,7 +78,6 @@ PI3X = Card(
         weights="CC BY-NC 4.0",
         commercial="no",
         condition="non-commercial weights",
-        alternative="mapanything",
     ),
     weights=(
         WeightFile(

@@ -14,7 +14,6 @@ from studiorecon.models.catalogue.card import Card, Kind
 
 MODULES = (
     "adapters.pi3",
-    "adapters.mapanything",
     "adapters.moge",
     "adapters.onnx_depth",
     "adapters.sam3",

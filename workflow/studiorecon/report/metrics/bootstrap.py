@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Uncertainty of a number: bootstrap intervals over frames and scenes, paired differences of runs, spread over seeds.
+"""Uncertainty of a number: bootstrap intervals over frames, of a mean and of the difference of two runs.
 
 Neighbouring frames are similar, so frames are drawn in blocks (circular moving blocks of √T frames, the same blocks for
 every camera). Drawing single frames would give intervals several times too narrow.
@@ -9,7 +9,6 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 
@@ -37,42 +36,12 @@ def mean_interval(frames: Frames, bootstrap: Bootstrap) -> list[float] | None:
     return None if means is None else _interval(means)
 
 
-def paired_difference(scenes: Mapping[str, tuple[Frames, Frames]], bootstrap: Bootstrap) -> dict[str, Any]:
-    """Second minus first run, paired per scene, camera and frame: difference, interval, unit drawn, number of pairs.
-
-    Several scenes are drawn as wholes, for a statement about scenes; one scene's frames are drawn in blocks, for a
-    statement about that scene. ``interval`` and ``significant`` are None when there is too little to draw from. A
-    difference whose interval contains 0 is not significant.
-    """
-    tables = {scene: _difference(*pair) for scene, pair in scenes.items()}
-    tables = {scene: table for scene, table in tables.items() if np.isfinite(table).any()}
-    if not tables:
-        return {"difference": None, "interval": None, "significant": None, "drawn": None, "pairs": 0}
-    means = np.array([_mean(table) for table in tables.values()])
-    if len(tables) >= _FEWEST_BLOCKS:
-        rng, drawn = np.random.default_rng(bootstrap.seed), "scenes"
-        draws = means[rng.integers(0, len(means), (bootstrap.samples, len(means)))].mean(axis=1)
-    elif len(tables) == 1:
-        draws, drawn = _drawn_means(next(iter(tables.values())), bootstrap), "blocks of frames"
-    else:
-        draws, drawn = None, None
-    interval = None if draws is None else _interval(draws)
-    return {
-        "difference": float(means.mean()),
-        "interval": interval,
-        "significant": None if interval is None else not interval[0] <= 0 <= interval[1],
-        "drawn": drawn,
-        "pairs": int(sum(np.isfinite(table).sum() for table in tables.values())),
-    }
-
-
-def over_seeds(values: Sequence[float | None]) -> dict[str, Any]:
-    """Mean and half range of one number over runs of different seeds; the half range is None below three runs."""
-    used = [value for value in values if value is not None and np.isfinite(value)]
-    if not used:
-        return {"mean": None, "half_range": None, "seeds": 0}
-    half_range = (max(used) - min(used)) / 2 if len(used) >= 3 else None
-    return {"mean": float(np.mean(used)), "half_range": half_range, "seeds": len(used)}
+def difference_interval(first: Frames, second: Frames, bootstrap: Bootstrap) -> list[float] | None:
+    """95 % interval of second minus first, paired per camera and frame; None when there are too few frames."""
+    common = [camera for camera in first if camera in second]
+    tables = [_table({camera: run[camera] for camera in common}) for run in (first, second)]
+    means = _drawn_means(tables[1] - tables[0], bootstrap) if common else None
+    return None if means is None else _interval(means)
 
 
 def _table(frames: Frames) -> np.ndarray:
@@ -83,13 +52,6 @@ def _table(frames: Frames) -> np.ndarray:
         row[: len(values)] = [np.nan if value is None else value for value in values]
     table[~np.isfinite(table)] = np.nan
     return table
-
-
-def _difference(first: Frames, second: Frames) -> np.ndarray:
-    common = [camera for camera in first if camera in second]
-    return (
-        _table({c: second[c] for c in common}) - _table({c: first[c] for c in common}) if common else np.zeros((0, 0))
-    )
 
 
 def _drawn_means(table: np.ndarray, bootstrap: Bootstrap) -> np.ndarray | None:
@@ -114,12 +76,6 @@ def _drawn_means(table: np.ndarray, bootstrap: Bootstrap) -> np.ndarray | None:
     means = np.where(measured, total / np.where(measured, count, 1), 0.0)
     cameras = measured.sum(axis=1)
     return means.sum(axis=1)[cameras > 0] / cameras[cameras > 0]
-
-
-def _mean(table: np.ndarray) -> float:
-    """Mean over the measured cameras of their mean over frames."""
-    rows = [row[np.isfinite(row)] for row in table]
-    return float(np.mean([row.mean() for row in rows if len(row)]))
 
 
 def _interval(draws: np.ndarray) -> list[float]:
