@@ -10,7 +10,7 @@ include: "workflow/rules/common.smk"
 
 
 # A stage is a word in workflow/studiorecon/stages.py, a rule file and a folder of that name.
-for name in ("studio", *STAGES, "sweep", "weights", "images"):
+for name in ("studio", *STAGES, "placement", "sweep", "weights", "images"):
 
     include: f"workflow/rules/{name}.smk"
 

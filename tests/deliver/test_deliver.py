@@ -139,7 +139,7 @@ def test_what_an_earlier_export_left_is_removed(tmp_path: Path, root: Path) -> N
     write_scene(tmp_path, root, people=1, filmed=False)
     chosen = options(tmp_path, 1)
     call(export.run, **chosen)
-    others = ("player.html", "player.jpg", "scene.glb", ".partial-7-player.html")
+    others = ("player.html", "player.jpg", "room.glb", "scene.glb", "scene.usdc", ".partial-7-player.html")
     for name in (*others, "old.txt"):
         (tmp_path / "deliver" / name).touch()
     call(export.run, **{**chosen, "gaussians": [], "avatars": [], "fits": [], "body": None})

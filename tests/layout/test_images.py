@@ -29,6 +29,7 @@ RULES = sorted((ROOT / "workflow/rules").glob("*.smk"))
 # What a package is imported as.
 PACKAGES = {
     "cv2": ("opencv-python-headless", "opencv-contrib-python-headless", "opencv-python"),
+    "pxr": ("usd-core",),
     "yaml": ("pyyaml",),
     "OpenEXR": ("openexr",),
 }

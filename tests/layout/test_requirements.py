@@ -30,6 +30,7 @@ CALLED = {
     "yaml": "pyyaml",
     "skimage": "scikit-image",
     "llvmlite": "numba",
+    "pxr": "usd-core",
 }
 OWN = {*sys.stdlib_module_names, "studiorecon", "snakemake_logger_plugin_studiorecon", "benchmarks", "tests"}
 
@@ -97,7 +98,7 @@ def test_the_first_command_is_light_and_the_second_adds_to_it() -> None:
     assert PROJECT["tool"]["uv"]["default-groups"] == ["run"]
     assert GROUPS["run"] == ["studiorecon[run]"]
     assert {"include-group": "run"} in GROUPS["test"]
-    heavy = {"torch", "torchvision", "kornia", "torchmetrics", "scikit-image"}
+    heavy = {"torch", "torchvision", "kornia", "open3d", "torchmetrics", "scikit-image"}
     assert not heavy & (PLAIN | DRIVER)
 
 

@@ -16,7 +16,7 @@ from studiorecon.machine.libraries import install_remedy, missing_library
 
 ROOT = Path(__file__).resolve().parents[2]
 BROKEN = {
-    # Where a system's libraries are missing: Python itself says it, without a name.
+    # As open3d fails where the desktop's libraries are missing: Python itself says it, without a name.
     "extension": "raise ImportError('libnot-there.so.0: cannot open shared object file')",
     # As a library fails that loads a shared object by hand.
     "by hand": "import ctypes; ctypes.CDLL('libnot-there.so.0')",
@@ -78,18 +78,24 @@ def test_a_library_that_a_step_cannot_do_without_is_named_with_its_remedy(how: s
     assert log.read_text() == done.stderr
 
 
+@pytest.mark.parametrize(("library", "extra"), [("open3d", "mesh"), ("gsplat", "gpu")])
 @pytest.mark.parametrize("how", BROKEN)
 def test_a_library_that_is_loaded_on_the_way_is_named_with_its_extra(
-    how: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+    how: str,
+    library: str,
+    extra: str,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
 ) -> None:
-    broken("gsplat", BROKEN[how], tmp_path)
+    broken(library, BROKEN[how], tmp_path)
     monkeypatch.syspath_prepend(tmp_path / "site-packages")
-    monkeypatch.delitem(sys.modules, "gsplat", raising=False)
-    step = types.SimpleNamespace(run=lambda: importlib.import_module("gsplat"))
-    assert _run(step, "render.shot", {"settings": "{}"}, log=None) == 1
+    monkeypatch.delitem(sys.modules, library, raising=False)
+    step = types.SimpleNamespace(run=lambda: importlib.import_module(library))
+    assert _run(step, "deliver.room", {"settings": "{}"}, log=None) == 1
     reported = capsys.readouterr().err
-    assert reported.startswith("render.shot: the library gsplat cannot be loaded (")
-    assert "uv sync --inexact --extra gpu" in reported
+    assert reported.startswith(f"deliver.room: the library {library} cannot be loaded (")
+    assert f"uv sync --inexact --extra {extra}" in reported
     assert len(reported.splitlines()) == 1
 
 

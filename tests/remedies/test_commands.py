@@ -19,6 +19,10 @@ from studiorecon.cli.snakemake_call import preset_file
 from studiorecon.cli.takes import open_takes
 from studiorecon.configuration import settings as configuration
 from studiorecon.configuration.overlays import check_overlay
+from studiorecon.placement.camera_placement import lens_from_fov, place_cameras
+from studiorecon.placement.place import read_resolution
+from studiorecon.placement.place import run as place
+from studiorecon.placement.room import read_room
 from studiorecon.scene.decisions import Decision, apply_forced
 from studiorecon.scene.files import read_table
 from studiorecon.scene.people import read_given_identities
@@ -96,6 +100,11 @@ def table(text: str) -> Call:
     return written(text, "a.tsv", lambda path: read_table(path, ("camera", "track")))
 
 
+def rig(**changed: Any) -> Call:
+    given = {"room": "2x2x2", "cameras": 2, "hfov_deg": [65.0], "resolution": "1280x720", **changed}
+    return lambda f: place(**given, picture=f / "a.svg", plan=f / "a.json")
+
+
 def scene(name: str) -> Call:
     def call(folder: Path) -> Any:
         page = folder / "results/take/report/index.html"
@@ -113,6 +122,11 @@ def takes(*names: str) -> Call:
         return open_takes([folder / name for name in names])
 
     return call
+
+
+def plan_words(**given: Any) -> Call:
+    usual = {"folder": None, "room": None, "cameras": "2", "hfov": ["65"], "resolution": "640x360"}
+    return lambda f: command._plan(argparse.Namespace(**usual, **given, picture=str(f / "plan.svg")))
 
 
 def taken(free: bool) -> Call:
@@ -182,6 +196,8 @@ def forced(effect: str, verdict: str) -> Call:
 
 # Where it is said, what is brought, and the same once that was done: every alternative that the sentence names.
 ROWS: list[tuple[Any, ...]] = [
+    (f"{COMMAND} _plan", plan_words(), lambda f: command._plan(argparse.Namespace(
+        folder=None, room="2x2x2", cameras="2", hfov=["65"], resolution="640x360", picture=str(f / "plan.svg")))),
     (f"{COMMAND} _capture 1", lambda f: command._capture(f / "gone"), command._capture),
     (f"{COMMAND} _capture 2", written("", "a.mp4", command._capture), command._capture),
     ("cli/takes.py open_takes 1", lambda f: open_takes([f / "gone"]), lambda f: open_takes([f])),
@@ -228,6 +244,15 @@ ROWS: list[tuple[Any, ...]] = [
      lambda _: photos_of_strangers(["x/a.png", "y/b.png"])),
     ("splatting/device.py resolve 1", lambda _: resolve("gpu"), lambda _: resolve("cpu"), lambda _: resolve("auto")),
     ("splatting/device.py resolve 2", lambda _: resolve("cuda"), lambda _: resolve("auto")),
+    ("placement/place.py read_resolution", lambda _: read_resolution("1920"), lambda _: read_resolution("1920x1080")),
+    ("placement/room.py read_room", lambda _: read_room("6x5"), lambda _: read_room("6x5x2.8")),
+    ("placement/room.py read_room", lambda _: read_room("0.5x5x3"), lambda _: read_room("1x1x1.9"),
+     lambda _: read_room("100x100x100")),
+    ("placement/place.py run 1", rig(cameras=1), rig(cameras=2)),
+    ("placement/place.py run 2", rig(hfov_deg=[170.0, 60.0, 50.0]), rig(hfov_deg=[150.0, 60.0])),
+    ("placement/camera_placement.py place_cameras",
+     lambda _: place_cameras(read_room("4x4x3"), [lens_from_fov("a", 65.0, (64, 36))]),
+     lambda _: place_cameras(read_room("2x2x2"), [lens_from_fov(n, 65.0, (64, 36)) for n in "ab"])),
     ("studio/capture.py _clear", cleared(own=False), cleared(own=True)),
     (f"{STUDIO} _mapping 1", lambda f: read_description(f / "gone.yaml"),
      lambda _: read_description(Path("resources/studio/demo.yaml"))),

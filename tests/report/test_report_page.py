@@ -154,7 +154,7 @@ UNSEEN = values(psnr=20.0, ssim=0.7, psnr_seen=26.0, psnr_unseen=12.0, share_see
 @pytest.mark.parametrize(
     ("pictures", "limits", "helps"),
     [
-        (UNSEEN, "10% of the room", "another camera"),
+        (UNSEEN, "10% of the room", "studiorecon plan"),
         (
             values(psnr=20.0, ssim=0.7, psnr_people=18.0, psnr_background=24.0),
             "People limit the quality (18.0 dB",

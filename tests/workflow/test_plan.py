@@ -163,6 +163,12 @@ def test_what_the_command_line_says_is_read_as_what_it_is(house: House, dataset:
     assert "views_synthesize" not in reported
 
 
+def test_a_captures_calibration_is_checked_on_request(house: House, dataset: Path) -> None:
+    requested = on(house, dataset).plan("plan")
+    assert requested["placement_advise"] == 1
+    assert not [rule for rule in requested if rule.split("_")[0] in ("depth", "background", "humans", "render")]
+
+
 def test_films_are_taken_apart_into_exr_on_request(house: House, dataset: Path) -> None:
     there = on(house, dataset)
     plan = there.plan("--configfile", there.overlay(render={"exr": True}))

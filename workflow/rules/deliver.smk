@@ -84,3 +84,65 @@ rule deliver_scene_glb:
         "Write the scene as glTF: {output.glb}"
     shell:
         command("deliver.scene_glb")
+
+
+rule deliver_mesh:
+    input:
+        model=MODEL,
+        background="results/{scene}/background/scene.ply",
+        provenance="results/{scene}/background/provenance.npz",
+        room_box="results/{scene}/depth/room.json",
+        path="results/{scene}/views/path.json",
+    output:
+        mesh="results/{scene}/deliver/room.glb",
+    log:
+        "logs/{scene}/deliver/mesh.log",
+    benchmark:
+        "timings/{scene}/deliver/mesh.tsv"
+    container:
+        image("vision")
+    threads: 2
+    resources:
+        mem_mb=memory(4000),
+    params:
+        code=code("deliver.mesh"),
+    shell:
+        command("deliver.mesh")
+
+
+# On request: the extra mesh is 400 MB, and most never open a mesh.
+rule room_mesh:
+    input:
+        f"results/{PLAN.scene}/deliver/room.glb",
+    localrule: True
+
+
+rule deliver_usd:
+    input:
+        **TRAINED,
+        manifest="results/{scene}/capture/manifest.json",
+        model=MODEL,
+    output:
+        stage="results/{scene}/deliver/scene.usdc",
+    log:
+        "logs/{scene}/deliver/usd.log",
+    benchmark:
+        "timings/{scene}/deliver/usd.tsv"
+    container:
+        image("vision")
+    threads: 1
+    resources:
+        mem_mb=memory(2000),
+    params:
+        code=code("deliver.usd"),
+    message:
+        "Write the scene as OpenUSD: {output.stage}"
+    shell:
+        command("deliver.usd")
+
+
+# On request: the extra usd takes 210 MB, and most never open a stage.
+rule scene_usd:
+    input:
+        f"results/{PLAN.scene}/deliver/scene.usdc",
+    localrule: True

@@ -7,8 +7,9 @@ The ``Snakefile`` lists the stages in the order of the data. ``workflow/rules/<s
 of each step; ``studiorecon/<stage>/<step>.py`` is the step. Only its ``run()`` reads and writes files, everything below
 is functions on arrays. The first page of a folder (``__init__.py``) names inputs, outputs and the order of reading.
 
-``stages`` lists the stages; they never import each other, and no rule takes an input of a later one. Two tools use
-them: ``studio`` films synthetic captures with known truth, ``sweep`` measures what accuracy costs.
+``stages`` lists the stages; they never import each other, and no rule takes an input of a later one. Three tools use
+them: ``studio`` films synthetic captures with known truth, ``placement`` plans camera positions, ``sweep`` measures
+what accuracy costs.
 
 Foundations (import no stage, and only foundations before them): ``pages`` (HTML), ``scene`` (data types and their
 files), ``geometry``, ``camera_files``, ``footage``, ``images``, ``keypoints``, ``detector``, ``body``, ``rig``,

@@ -17,6 +17,7 @@ from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from studiorecon.__main__ import main as step_main
 from studiorecon.cli.real_demo import TAKE, fetch_take
 from studiorecon.cli.snakemake_call import environment, preset_names, snakemake_command
 from studiorecon.configuration.overlays import split_option
@@ -87,6 +88,7 @@ def _parser() -> argparse.ArgumentParser:
     doctor = word("doctor", _doctor, "check calibration, clocks, exposures and coverage before anything expensive")
     look = word("look", _look, "preview a capture: one small film, nothing else")
     run = word("run", _run, "reconstruct a capture: films, page and files for other tools")
+    plan = word("plan", _plan, "suggest camera positions for a room or a capture, with a picture")
     window = word("open", _open, "one window: drop videos, look, correct, fly", runs=False)
     view = word("view", _view, "show a finished scene's page in the browser", runs=False)
     settings = word("settings", _settings, "print every setting with its meaning and default", runs=False)
@@ -105,11 +107,24 @@ def _parser() -> argparse.ArgumentParser:
         made.add_argument("--budget", metavar="MIN", type=float, help="minutes it may take: chooses the preset")
     real = f"a first look at a real take instead, in this folder; pip fetches it once (default: {TAKE}/)"
     demo.add_argument("--real", nargs="?", const=Path(TAKE), type=Path, metavar="DIR", help=real)
+    _add_plan_arguments(plan)
     _add_view_arguments(view)
     _add_window_arguments(window)
     begins = "section or setting: people, people.fit, render.shots"
     settings.add_argument("name", nargs="?", default="", help=begins)
     return parser
+
+
+def _add_plan_arguments(plan: argparse.ArgumentParser) -> None:
+    folder_help = "a calibrated capture; without it, give --room"
+    plan.add_argument("folder", type=Path, nargs="?", metavar="DIR", help=folder_help)
+    plan.add_argument("--room", metavar="WxDxH", help="width, depth and height in metres: 6x5x2.8")
+    plan.add_argument("--cameras", metavar="N", default="4", help="number of cameras (default: 4)")
+    field = "horizontal field of view, one or one each (default: 65)"
+    plan.add_argument("--hfov", nargs="+", default=["65"], metavar="DEG", help=field)
+    plan.add_argument("--resolution", default="1920x1080", metavar="WxH", help="of the pictures (default: 1920x1080)")
+    above = "the room from above (default: plan.svg, with plan.json in the same folder)"
+    plan.add_argument("--picture", default="plan.svg", metavar="FILE", help=above)
 
 
 def _add_view_arguments(view: argparse.ArgumentParser) -> None:
@@ -188,6 +203,29 @@ def _run_takes(options: argparse.Namespace) -> int:
     rows = takes.run_takes(found, rig_of[0] if rig_of else None, run)
     print(takes.table_text(rows))
     return int(any(row["result"] != "done" for row in rows))
+
+
+def _plan(options: argparse.Namespace) -> int:
+    if options.folder is not None:
+        return _snakemake("plan", _capture(options.folder), options)
+    if options.room is None:
+        raise UserError(
+            "give the room, studiorecon plan --room 6x5x2.8 --cameras 4 --hfov 65, or the folder of a capture"
+        )
+    picture = Path(options.picture)
+    words = [
+        "--room",
+        options.room,
+        "--cameras",
+        options.cameras,
+        "--hfov-deg",
+        *options.hfov,
+        "--resolution",
+        options.resolution,
+    ]
+    return step_main(
+        ["placement.place", *words, "--picture", str(picture), "--plan", str(picture.with_suffix(".json"))]
+    )
 
 
 def _capture(folder: Path) -> str:

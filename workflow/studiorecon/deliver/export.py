@@ -53,6 +53,8 @@ background.ply    the static room: 3D Gaussians, binary PLY in the layout of the
 player.html       the scene to move through, in a browser, without a network
 blender.py        opens scene.glb in Blender with the cameras' films behind it: blender --python blender.py
 scene.glb         room (KHR_gaussian_splatting), people, things and cameras for three.js, PlayCanvas, Blender; y up
+room.glb          only on request (snakemake room_mesh): the room as a coloured mesh, y up, in metres
+scene.usdc        only on request (snakemake scene_usd): room, people, things and cameras as a stage for usdview, z up
 manifest.json     size and SHA-256 of every other file here, frame rate, and the cameras as blender.py reads them
 
 World: right-handed, metres, z up, floor near z = 0. Camera axes as in OpenCV and COLMAP: x right, y down, z forward;
@@ -65,7 +67,7 @@ invented (the report shows where), and a PLY cannot say which. The people's PLY 
 in bodies/.
 """
 # Files that other steps write into the same folder; a file being written has a longer name.
-OTHER_STEPS_FILES = ("scene.glb", "player.html", "player.jpg")
+OTHER_STEPS_FILES = ("room.glb", "scene.glb", "scene.usdc", "player.html", "player.jpg")
 # Frame of the merged scene of background and people: the first, which every capture has.
 _STILL_FRAME = 0
 _STILL = "still.ply         the room and everybody in it at frame {frame}, for viewers of static scenes\n"
@@ -92,7 +94,7 @@ _PERSONS = (
     "(coloured mesh, skeleton\n                  and animation, y up) are for other programs\n"
 )
 _FINGERS = (
-    "                  Fingers ({people}): 30 joints after the 24 in .bvh, .glb and scene.glb, in SMPL-H's "
+    "                  Fingers ({people}): 30 joints after the 24 in .bvh, .glb, scene.glb and scene.usdc, in SMPL-H's "
     "order in\n                  .npz (hand_*) and .amass.npz (52 joints); 20 markers of each hand in .trc and .c3d; "
     "angles in .angles.tsv\n                  (0 = flat hand); 21 points of each hand in .openpose3d.json. "
     ".mot has none: its model has no fingers\n"

@@ -16,6 +16,8 @@ EXTRAS = {
     "lpips": "networks",
     "gsplat": "gpu",
     "kornia": "gpu",
+    "open3d": "mesh",
+    "pxr": "usd",
 }
 """Library, by its import name → the extra that installs it; every other library of the package is in the plain
 environment.

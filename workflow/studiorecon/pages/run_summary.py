@@ -14,6 +14,7 @@ _RESULTS = (
     ("page", "report/index.html", "report_page"),
     ("player", "deliver/player.html", "deliver_player"),
     ("doctor", "calibration/doctor.html", "calibration_doctor"),
+    ("plan", "placement/advice.svg", "placement_advise"),
 )
 _OF_A_WHOLE_RUN = 3
 

@@ -33,7 +33,7 @@ def _limit(pictures: Mapping[str, Any]) -> tuple[str, str]:
         if missed > known:
             part = f"{1 - share:.0%} of the room, {unseen:.1f} dB"
             sentence = f"Surfaces that no training camera sees limit the quality ({part})"
-            return sentence, "another camera there helps most"
+            return sentence, "another camera there helps most (studiorecon plan DIR says where)"
     people, room = _value(pictures, "psnr_people"), _value(pictures, "psnr_background")
     if people is not None and room is not None and people < room:
         return f"People limit the quality ({people:.1f} dB; the room {room:.1f} dB)", _PRESET
