@@ -109,6 +109,17 @@ def test_cameras_that_began_apart_are_looked_at_at_the_same_moments() -> None:
     assert both["a"] == chosen["a"]
 
 
+def test_clocks_that_people_must_give_take_one_long_stretch_in_the_middle() -> None:
+    filmed = tuple(Clock(name, 10.0, 268) for name in ("a", "b"))
+    chosen = choose.stretches([Clocks(10.0, 0.0, 268, filmed)], 15.0)
+    assert chosen["a"] == chosen["b"]
+    assert chosen["a"][0][2] == 150
+    assert 40 < chosen["a"][0][1] < 90
+    assert {count for _, _, count in chosen["a"][1:]} == {15}
+    looked = [(first, count) for number, first, count in chosen["a"] if number < 3]
+    assert sum(count for _, count in unseen(looked, 0, 268)) > 268 / 4
+
+
 def test_parts_not_yet_looked_at() -> None:
     assert unseen([(10, 5), (2, 3)], 0, 20) == [(0, 2), (5, 5), (15, 5)]
     assert unseen([(0, 30)], 5, 10) == []

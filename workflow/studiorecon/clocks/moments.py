@@ -27,16 +27,17 @@ from studiorecon.scene.clocks import Clocks
 from studiorecon.scene.moments import Stretch, write_moments
 from studiorecon.signature import Written
 
-# Seconds of a stretch where sound or motion give the clocks: a person takes two or three steps.
+# Seconds of a stretch: a person takes two or three steps.
 _STRETCH_S = 1.5
-# Seconds of a stretch where people have to: cameras started by hand, one after the other, must share a part of it.
+# Seconds of the first one where neither sound nor motion give the clocks, and people have to: cameras started by hand,
+# one after the other, must share a part of it.
 _APART_S = 15.0
 # Seconds from the start of the films in which motion is compared: the next ones where those before are not enough.
 _MOTION_S = 20.0, 90.0
 # Most stretches of a take: enough where somebody is in one of six.
 _MOST = 20
-# Films of so many stretches are looked at whole: that is little more than is looked at of any film.
-_WHOLE = 4
+# Shorter films are looked at whole: longer by this factor than the three stretches that are looked at of any film.
+_WHOLE = 4 / 3
 # Stretches of one film nearer than this are one: the pictures between are decoded anyway.
 _JOINED_S = 0.5
 
@@ -64,19 +65,21 @@ def linked(lags: Sequence[Lag], cameras: int) -> bool:
     return all(offset.half_s <= MAX_HALF_S for offset in offsets)
 
 
-def stretches(likely: Sequence[Clocks], seconds: float) -> dict[str, list[Stretch]]:
-    """camera → stretches of so many ``seconds`` of its film at moments of the ``likely`` clocks, which have the same.
+def stretches(likely: Sequence[Clocks], first_s: float) -> dict[str, list[Stretch]]:
+    """camera → stretches of its film at moments of the ``likely`` clocks, which have the same; the first one, of
+    ``first_s`` seconds, in the middle.
 
     The order of stretches is that in which they are looked at: any first few of them are spread over the take.
     """
     common = likely[0]
-    length = max(1, round(min(seconds * common.fps, common.frames)))
-    count = min(_MOST, common.frames // length)
+    first, short = (max(1, round(min(seconds * common.fps, common.frames))) for seconds in (first_s, _STRETCH_S))
+    count = min(_MOST, common.frames // short)
     found: dict[str, list[Stretch]] = {clock.camera: [] for clock in common.cameras}
     # Numbers with their binary digits reversed are spread, wherever their sequence ends.
-    order = sorted(range(count), key=lambda k: f"{k:08b}"[::-1])
+    order = sorted(range(count), key=lambda k: f"{(k - count // 2) % count:08b}"[::-1])
     for number, k in enumerate(order):
-        begin = round((k + 0.5) * common.frames / count - length / 2)
+        length = short if number else first
+        begin = min(max(round((k + 0.5) * common.frames / count - length / 2), 0), common.frames - length)
         for camera, own in found.items():
             frames = np.unique([clocks.source_frames(camera)[begin : begin + length] for clocks in likely])
             for part in np.split(frames, np.flatnonzero(np.diff(frames) > _JOINED_S * common.fps) + 1):
@@ -118,12 +121,12 @@ def run(
     sure = given or "motion" not in why
     likely = [common] if sure or common.refusal else [common, replace(common, cameras=tuple(filmed))]
     known = given or not why or linked(found, len(cameras))
-    seconds = _STRETCH_S if known else _APART_S
-    if whole or all(clock.own_s[-1] <= _WHOLE * seconds for clock in filmed):
-        seconds = math.inf
-    if common.refusal or (seconds == math.inf and not first_frame and not frame_count):
+    first_s = _STRETCH_S if known else _APART_S
+    if whole or all(clock.own_s[-1] <= _WHOLE * (first_s + 2 * _STRETCH_S) for clock in filmed):
+        first_s = math.inf
+    if common.refusal or (first_s == math.inf and not first_frame and not frame_count):
         chosen = {c.camera: [(0, 0, c.frames)] for c in filmed}
     else:
-        chosen = stretches(likely, seconds)
+        chosen = stretches(likely, first_s)
     write_lags(lags, found, why)
     write_moments(moments, chosen)
