@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""``python -m tests.hard.table`` writes the pages docs/hard-cases.md and docs/readings.md.
+"""The hard cases of the arithmetic (``rows.tsv``) and the readings of the paper (``readings.tsv``).
 
-The rows and their owners stand in ``rows.tsv``, the readings in ``readings.tsv``. A test holds a row when the row's id
-is part of its pytest id or name. ``--check`` writes nothing and fails when a page is out of date.
+A test holds a hard case when the case's id is part of its pytest id or name: ``pytest -m "" -k t13`` runs T13.
+``python -m tests.hard.table`` writes docs/readings.md.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ from pathlib import Path
 
 HERE = Path(__file__).resolve().parent
 ROOT = HERE.parents[1]
-HARD_CASES, READINGS = ROOT / "docs/hard-cases.md", ROOT / "docs/readings.md"
+READINGS = ROOT / "docs/readings.md"
 PACKAGE = ROOT / "workflow" / "studiorecon"
 # How many rows each letter of the design's table has.
 ROW_COUNTS = {
@@ -41,30 +41,7 @@ READING_COUNT = 60
 
 _ROW_ID = re.compile(r"(?<![A-Za-z0-9])([CRTSDAMFLGIOEVcrtsdamflgioev]\d\d)(?![0-9])")
 
-GROUPS = {
-    "C": "Cameras and conventions",
-    "R": "Rotations",
-    "T": "Triangulation",
-    "S": "Scale",
-    "D": "Depth alignment",
-    "A": "Association of people across cameras",
-    "M": "Body fit",
-    "F": "Filters over time",
-    "L": "Linear blend skinning",
-    "G": "Gaussians and their rasterisation",
-    "I": "Images, losses and measures",
-    "O": "Optimisers",
-    "E": "Enhancement",
-    "V": "Evaluation",
-}
 MADE = "Written by `python -m tests.hard.table`; do not edit by hand."
-CASES_HEAD = f"""# Hard cases
-
-{MADE}
-
-Inputs at which the method's arithmetic is known to fail. Each has a test with its id:
-`uv run --group test pytest -m "" -k t13` runs T13. `git grep -w T13` lists the code and the test.
-"""
 READINGS_HEAD = f"""# Readings
 
 {MADE}
@@ -76,11 +53,10 @@ Passages of the paper that allow several readings, each with the reading used he
 
 @dataclass(frozen=True)
 class Row:
-    """One hard case: its id, a few words, and the module of ``studiorecon`` that owns it."""
+    """One hard case: its id and a few words."""
 
     id: str
     what: str
-    module: str
 
 
 @dataclass(frozen=True)
@@ -151,15 +127,6 @@ def tests_by_row(tests: Sequence[str]) -> dict[str, Counter[str]]:
     return found
 
 
-def hard_cases() -> str:
-    """The text of docs/hard-cases.md."""
-    lines = [CASES_HEAD]
-    for letter, title in GROUPS.items():
-        listed = (f"{row.id} {row.what}" for row in rows() if row.id[0] == letter)
-        lines += [f"## {letter}: {title}\n", "```", *listed, "```\n"]
-    return "\n".join(lines)
-
-
 def reading_table() -> str:
     """The text of docs/readings.md."""
     return "\n".join([READINGS_HEAD, *(f"- **{one.id}** {one.reading}{_settings(one)}" for one in readings()), ""])
@@ -173,14 +140,5 @@ def _settings(reading: Reading) -> str:
     return f" ({', '.join(f'`{name}`' for name in names)})" if names else ""
 
 
-def main(arguments: Sequence[str]) -> int:
-    pages = {HARD_CASES: hard_cases(), READINGS: reading_table()}
-    if "--check" in arguments:
-        return int(any(page.read_text(encoding="utf-8") != text for page, text in pages.items()))
-    for page, text in pages.items():
-        page.write_text(text, encoding="utf-8")
-    return 0
-
-
 if __name__ == "__main__":
-    sys.exit(main(sys.argv[1:]))
+    READINGS.write_text(reading_table(), encoding="utf-8")

@@ -1,21 +1,16 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The tables of hard cases and readings say what is there: complete, owned, in the configuration, up to date."""
+"""The tables of hard cases and readings say what is there: complete, in the configuration, up to date."""
 
 from __future__ import annotations
 
-import ast
 from collections import Counter
-from functools import cache
-from pathlib import Path
 from typing import Any
 
 import pytest
 import yaml
-from studiorecon import code
 
 from tests.conftest import EVERY_TEST
 from tests.hard import table
-from tests.made.sources import tree
 
 AGAIN = "run: python -m tests.hard.table"
 
@@ -25,37 +20,14 @@ def found(request: pytest.FixtureRequest) -> dict[str, Counter[str]]:
     return table.tests_by_row(request.config.stash.get(EVERY_TEST, None) or table.collected())
 
 
-def test_every_row_of_the_design_is_listed_once_and_owned() -> None:
+def test_every_row_of_the_design_is_listed_once() -> None:
     ids = [row.id for row in table.rows()]
     assert ids == [f"{letter}{n:02d}" for letter, count in table.ROW_COUNTS.items() for n in range(1, count + 1)]
     assert len(ids) == 161
-    assert all(row.what and row.module for row in table.rows())
+    assert all(row.what for row in table.rows())
 
 
-def test_the_owner_of_a_held_row_is_a_module_that_its_test_runs(found: dict[str, Counter[str]]) -> None:
-    wrong = []
-    for row in table.rows():
-        if row.id not in found:
-            continue
-        files = {test.partition("::")[0] for test in found[row.id]}
-        if not any(row.module in reached(table.ROOT / "tests" / file) for file in files):
-            wrong.append(f"{row.id}: {sorted(files)} do not import studiorecon.{row.module}")
-    assert not wrong, "\n".join(wrong)
-
-
-@cache
-def reached(test_file: Path) -> set[str]:
-    """Modules of the package that a test file imports, itself or by what tests share, and what those import in turn."""
-    imported = set(code.imports_of_file(test_file))
-    for node in ast.walk(tree(test_file)):
-        if isinstance(node, ast.ImportFrom) and (node.module or "").startswith("tests.made"):
-            shared = table.ROOT.joinpath(*node.module.split(".")).with_suffix(".py")
-            imported |= reached(shared) if shared.is_file() else set()
-    return set(code.dependencies(imported))
-
-
-def test_the_pages_are_up_to_date() -> None:
-    assert table.HARD_CASES.read_text(encoding="utf-8") == table.hard_cases(), AGAIN
+def test_the_page_is_up_to_date() -> None:
     assert table.READINGS.read_text(encoding="utf-8") == table.reading_table(), AGAIN
 
 

@@ -61,8 +61,8 @@ Conventions
 -----------
 ``b_from_a`` maps coordinates of a to those of b. Names carry units (``_m, _px, _rad, _deg, _s``). World: right-handed,
 metres, z up. Cameras as in OpenCV: x right, y down, z forward; the first pixel's centre is (0.5, 0.5). Quaternions are
-(w, x, y, z). Ids like T13 are hard cases of the arithmetic (``docs/hard-cases.md``), U07 readings of ambiguous passages
-of the paper (``docs/readings.md``). ``UserError`` is one sentence for the user: problem, place and remedy.
+(w, x, y, z). Ids like T13 are hard cases of the arithmetic (``tests/hard/rows.tsv``), U07 readings of ambiguous
+passages of the paper (``docs/readings.md``). ``UserError`` is one sentence for the user: problem, place and remedy.
 """
 
 from __future__ import annotations
