@@ -90,7 +90,11 @@ def steps(subject: Any, terms: list, count: int) -> list[float]:
 
 
 @pytest.mark.parametrize(
-    "replaced", [LETTER, {"pose_from": 0, "temporal": OVER_TIME | {"points": 40}}], ids=["letter", "ours"]
+    "replaced",
+    [
+        pytest.param(LETTER, id="letter", marks=pytest.mark.slow),
+        pytest.param({"pose_from": 0, "temporal": OVER_TIME | {"points": 40}}, id="ours"),
+    ],
 )
 def test_tensors_learn_what_the_kernels_learn(subjects: Callable, replaced: dict) -> None:
     by_kernels, by_tensors, terms = subjects(**replaced)

@@ -73,7 +73,7 @@ def killed_and_taken_up(step: str, section: dict, options: Mapping, names: Mappi
     assert not (folder / "whole" / "working" / stored.name).exists()
 
 
-@pytest.mark.slow  # the plain suite kills a person's training, which has the same loop
+@pytest.mark.slow  # the plain suite takes trainings up within a process
 def test_a_killed_background_ends_with_the_same_bytes(
     default_settings: Callable, capture: dict, tmp_path: Path
 ) -> None:
@@ -85,6 +85,7 @@ def test_a_killed_background_ends_with_the_same_bytes(
     )
 
 
+@pytest.mark.slow
 def test_a_killed_person_ends_with_the_same_bytes(default_settings: Callable, made: Made, tmp_path: Path) -> None:
     section = copy.deepcopy(default_settings("humans", iterations=ITERATIONS, gaussians=2000, pose_from=5))
     assert Rates().pose_rad > 0, "poses are refined too"

@@ -6,6 +6,7 @@ from __future__ import annotations
 import ast
 import copy
 import re
+from functools import cache
 from pathlib import Path
 from typing import Any
 
@@ -13,6 +14,8 @@ import yaml
 from snakemake.utils import update_config
 from studiorecon.configuration.schema import mistakes
 from studiorecon.scene import capture_yaml
+
+from tests.made.sources import tree
 
 ROOT = Path(__file__).resolve().parents[2]
 CONFIG = yaml.safe_load((ROOT / "config/config.yaml").read_text())
@@ -30,13 +33,14 @@ TARGET = re.compile(r"\bsnakemake (?:--cores all )?([a-z_]+)\b")
 FILE = re.compile(r"\.(?:json|npz|yaml|svg|ply|txt|md|sfm)$")
 
 
+@cache
 def messages() -> list[tuple[str, str]]:
     """(place, text) of every text in the package that is no docstring, with NUL for what is filled in."""
     found = []
     for path in sorted((ROOT / "workflow/studiorecon").rglob("*.py")):
-        tree = ast.parse(path.read_text())
-        prose = {id(n.value) for n in ast.walk(tree) if isinstance(n, ast.Expr)}
-        for node in ast.walk(tree):
+        nodes = list(ast.walk(tree(path)))
+        prose = {id(n.value) for n in nodes if isinstance(n, ast.Expr)}
+        for node in nodes:
             if isinstance(node, ast.JoinedStr):
                 text = "".join(v.value if isinstance(v, ast.Constant) else "\0" for v in node.values)
             elif isinstance(node, ast.Constant) and isinstance(node.value, str) and id(node) not in prose:

@@ -73,6 +73,7 @@ def test_a_kernel_that_calls_another_is_compiled_again_when_that_one_changes(
     assert called(other, tmp_path / "cache") == (21, 1), "what was there is there"
 
 
+@pytest.mark.slow
 def test_of_a_module_the_latest_versions_are_kept(clones: list[Path], tmp_path: Path) -> None:
     for factor in range(2, 7):
         inner(clones[0], factor)
@@ -80,6 +81,7 @@ def test_of_a_module_the_latest_versions_are_kept(clones: list[Path], tmp_path: 
     assert len(list((tmp_path / "cache/studiorecon/kernels/geometry.outer_kernel").iterdir())) == 4
 
 
+@pytest.mark.slow
 def test_where_nothing_can_be_written_numba_keeps_it_as_ever(clones: list[Path], tmp_path: Path) -> None:
     (tmp_path / "file").write_text("no folder")
     assert called(clones[0], tmp_path / "file") == (21, 0)

@@ -14,6 +14,7 @@ import tomllib
 ROOT = Path(__file__).resolve().parents[2]
 
 
+@pytest.mark.slow  # two wheels; a release is built nightly
 def test_the_same_tree_gives_the_same_bytes(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     from hatchling.builders.sdist import SdistBuilder
     from hatchling.builders.wheel import WheelBuilder

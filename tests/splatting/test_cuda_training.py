@@ -66,10 +66,8 @@ def trained_on_both(**changes: object) -> tuple[TrainedGaussians, TrainedGaussia
 REGULARISERS = {"plain": ({}, 21.0), "density, scale limit": ({"density": 0.05, "largest_scale_m": 0.4}, 15.0)}
 
 
-@pytest.mark.parametrize(
-    ("changes", "reached_db"),
-    [pytest.param(*v, id=k, marks=[pytest.mark.slow] if k == "plain" else []) for k, v in REGULARISERS.items()],
-)
+@pytest.mark.slow
+@pytest.mark.parametrize(("changes", "reached_db"), list(REGULARISERS.values()), ids=list(REGULARISERS))
 def test_both_loops_learn_the_same(changes: dict, reached_db: float) -> None:
     begin, _ = lesson()
     on_cpu, on_cuda = trained_on_both(**changes)

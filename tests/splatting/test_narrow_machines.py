@@ -35,6 +35,7 @@ def blended_with_sse(folder: Path, arrays: dict[str, np.ndarray]) -> dict[str, n
     return dict(np.load(folder / "found.npz"))
 
 
+@pytest.mark.slow  # compiles every kernel anew
 def test_blending_with_sse_alone_is_the_same_to_rounding_and_calls_no_c_function(tmp_path: Path) -> None:
     scene, view, ours = room(1500, 5), camera(96, 56), Rasteriser(near_m=0.01, threads=1)
     with ours.own_threads():
