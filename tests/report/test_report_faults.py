@@ -29,9 +29,9 @@ def test_training_depth(fault: float) -> None:
     depth = np.full((camera.wh[1], camera.wh[0]), 2.0)
     points = camera.unproject(camera.pixel_centres(), depth)
     known = np.ones(depth.shape, bool)
-    before = truth.is_visible(points, known, camera, depth, (0.05,))[0][0]
+    before = truth.is_visible(points, known, camera, depth, 0.05)[0]
     broken, where = struck(rng, depth, fault)
-    after = truth.is_visible(points, known, camera, broken, (0.05,))[0][0]
+    after = truth.is_visible(points, known, camera, broken, 0.05)[0]
     assert not after[where].any()
     near = np.zeros_like(where)
     for row, column in np.argwhere(where):

@@ -35,7 +35,6 @@ from studiorecon.report.metrics.jitter import jitter
 from studiorecon.report.metrics.measures import (
     NAMES,
     REGIONS,
-    SENSITIVITY,
     SHARES,
     TEMPORAL,
     measure_sequence,
@@ -84,13 +83,12 @@ class Settings:
 
     Attributes:
         seen_tolerance: a surface is seen when its depth agrees with a training camera's to this share (paper: 0.05,
-            Seen/Unseen Fidelity; U57). ``seen_sensitivity``: other shares at which the same is reported.
+            Seen/Unseen Fidelity; U57).
         flow_preset: effort of the optical flow of the photos that temporal measures use.
         bootstrap_samples: number of resamplings of frames for the 95 % intervals, by a generator of this ``seed``.
     """
 
     seen_tolerance: float = 0.05
-    seen_sensitivity: tuple[float, float] = (0.02, 0.1)
     flow_preset: Literal["ultrafast", "fast", "medium"] = "fast"
     bootstrap_samples: int = 1000
     seed: int = 0
@@ -100,7 +98,7 @@ class Settings:
 def missing_reasons(have_regions: bool, have_truth: bool, net: str) -> dict[str, str]:
     """The reasons why a measure of a region, of time, or LPIPS with ``net``, may be null."""
     region = "no frame shows at least 256 pixels of it" if have_regions else _NO_REGIONS
-    reasons = {f"{measure}_{name}": region for name in (*REGIONS, *SENSITIVITY) for measure in ("psnr", "ssim")}
+    reasons = {f"{measure}_{name}": region for name in REGIONS for measure in ("psnr", "ssim")}
     reasons |= dict.fromkeys(SHARES, region)
     moving = _NO_DEPTH if have_truth else _NO_TRUTH
     people = ("psnr_people_seen", "psnr_people_unseen", "ssim_people_seen", "ssim_people_unseen", "share_people_seen")
@@ -146,15 +144,15 @@ def score_pictures(
     """Measures of every version against the photos by regions, from exact truth, or else own depth and ``people``."""
     views = truth.views if truth is not None and scored.held_out else {}
     training, frames = [camera.name for camera in scored.training], scored.capture.frames
-    tolerances = settings.seen_tolerance, settings.seen_sensitivity
+    tolerance = settings.seen_tolerance
     measured: dict[str, dict[str, list]] = {}
     for camera in progress(scored.cameras if scored.films else [], "cameras"):
         masks: Iterator[Mapping[str, np.ndarray]] = repeat({})
         if truth is not None and views:
-            masks = truth_regions(views, camera, training, truth.first_frame, frames, *tolerances)
+            masks = truth_regions(views, camera, training, truth.first_frame, frames, tolerance)
         elif estimated.film_depth:
-            start, all_tolerances = scored.starts[camera.name], (settings.seen_tolerance, *settings.seen_sensitivity)
-            masks = estimated_regions(estimated, people, camera, scored.training, start, frames, all_tolerances)
+            start = scored.starts[camera.name]
+            masks = estimated_regions(estimated, people, camera, scored.training, start, frames, tolerance)
         for name, values in measure_camera(scored, camera.name, masks, settings.flow_preset, distance).items():
             measured.setdefault(name, {})[camera.name] = values
     reasons = missing_reasons(bool(views or estimated.film_depth), bool(views), settings.lpips)

@@ -32,7 +32,6 @@ from studiorecon.report.metrics.measures import (
     FLIP_EVERY,
     NAMES,
     REGIONS,
-    SENSITIVITY,
     SHARES,
     TEMPORAL,
     measure_sequence,
@@ -97,9 +96,7 @@ def score_camera(
 def reasons(have_masks: bool, have_lpips: bool) -> dict[str, str]:
     """The reason why each measure may be null."""
     person = "no frame shows at least 256 pixels of it" if have_masks else _NO_MASKS
-    found = {
-        f"{m}_{r}": person if "seen" not in r else _NO_DEPTH for r in (*REGIONS, *SENSITIVITY) for m in ("psnr", "ssim")
-    }
+    found = {f"{m}_{r}": person if "seen" not in r else _NO_DEPTH for r in REGIONS for m in ("psnr", "ssim")}
     found |= dict.fromkeys(SHARES, _NO_DEPTH)
     found |= dict.fromkeys(
         TEMPORAL, "needs at least two frames of 24 pixels a side and 256 pixels whose flow leads back"

@@ -38,10 +38,6 @@ _REGIONS = {
     "unseen": "surfaces of the room that no training camera sees at that time",
     "people_seen": "pixels of people whose surface a training camera sees at that time, by the {depth} of that frame",
     "people_unseen": "pixels of people whose surface no training camera sees at that time",
-    "seen_strict": "as seen, at the first value of seen_sensitivity",
-    "unseen_strict": "as unseen, at the first value of seen_sensitivity",
-    "seen_loose": "as seen, at the second value of seen_sensitivity",
-    "unseen_loose": "as unseen, at the second value of seen_sensitivity",
 }
 _TRUE = {"people": "true person mask of the photo", "depth": "true depth"}
 _ESTIMATED = {"people": "outline of the fitted bodies", "depth": "run's own depth"}
@@ -82,7 +78,7 @@ def definitions(net: str, estimated: bool = False) -> dict[str, dict[str, str]]:
         found[f"temporal_l1_{region}"] = _entry(
             f"mean absolute value of {_CHANGE}", "", "down", regions[region], with_flow
         )
-    for region in ("seen", "seen_strict", "seen_loose", "people_seen"):
+    for region in ("seen", "people_seen"):
         found[f"share_{region}"] = _entry("share of seen among seen and unseen pixels", "", "up", regions[region], ours)
     found["flip"] = _entry(
         f"mean LDR-ꟻLIP, 67 pixels per degree; of one frame in {FLIP_EVERY}", "", "down", "none", "flip-evaluator"

@@ -51,12 +51,11 @@ def estimated_regions(
     training: Sequence[Camera],
     start: int,
     frames: int,
-    tolerances: Sequence[float],
+    tolerance: float,
 ) -> Iterator[dict[str, Bool[np.ndarray, "H W"]]]:
-    """Masks of a held-out camera's frames: people, background, and (un)seen at ``tolerances``.
+    """Masks of a held-out camera's frames: people, background, seen and unseen at ``tolerance``.
 
-    ``start`` is the picture of the film at which the camera's own view begins. The tolerances are the usual, the strict
-    and the loose one.
+    ``start`` is the picture of the film at which the camera's own view begins.
     """
     body = BodyModel.load(files.body[0]) if people else None
     room_m = {path.stem: read_depth(path)[0] for path in files.room_depths}
@@ -71,14 +70,15 @@ def estimated_regions(
             people_here |= person_depth_m(person, body, camera, frame) > 0
         known = (depth_m > 0) & ~people_here
         points = camera.unproject(camera.pixel_centres(), np.where(known, depth_m, 1.0))
-        seen = [np.zeros(camera.hw, bool) for _ in tolerances]
+        seen = np.zeros(camera.hw, bool)
         for other in training:
-            visible, pixels = is_visible(points, known, other, room_m[other.name], tolerances)
+            visible, pixels = is_visible(points, known, other, room_m[other.name], tolerance)
             rows, columns, _ = nearest_pixels(pixels, other.hw)
             clear = next(masks[other.name])[rows, columns] == 0 if other.name in masks else True
-            for total, each in zip(seen, visible):
-                total |= each & clear
-        regions = {"people": people_here, "background": ~people_here}
-        for suffix, each in zip(("", "_strict", "_loose"), seen):
-            regions |= {f"seen{suffix}": known & each, f"unseen{suffix}": known & ~each}
-        yield regions
+            seen |= visible & clear
+        yield {
+            "people": people_here,
+            "background": ~people_here,
+            "seen": known & seen,
+            "unseen": known & ~seen,
+        }

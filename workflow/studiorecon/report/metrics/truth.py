@@ -87,22 +87,22 @@ def is_visible(
     known: Bool[np.ndarray, " ..."],
     camera: Camera,
     depth_m: Float[np.ndarray, "H W"],
-    tolerances: Sequence[float],
-) -> tuple[list[Bool[np.ndarray, " ..."]], Float[np.ndarray, "... 2"]]:
-    """Per tolerance which points a camera with z-depth ``depth_m`` sees; and their pixels.
+    tolerance: float,
+) -> tuple[Bool[np.ndarray, " ..."], Float[np.ndarray, "... 2"]]:
+    """Which points a camera with z-depth ``depth_m`` sees; and their pixels.
 
     Seen: in front, inside the picture, and |z − z_n| ≤ tolerance · z_n with the camera's own depth z_n (relative to
     that one: 5 m read as 4.75 m is 5.3 % or 5.0 % by the choice, V02). z_n must be finite and positive (V01: inf passes
-    ``<=``) and away from depth edges, by the first tolerance.
+    ``<=``) and away from depth edges.
     """
     usable = np.where(np.isfinite(depth_m) & (depth_m > 0), depth_m, 0).astype(np.float32)
     window = np.ones((3, 3), np.uint8)
-    edge = cv2.dilate(usable, window) - cv2.erode(usable, window) > tolerances[0] * np.maximum(usable, 1e-6)
+    edge = cv2.dilate(usable, window) - cv2.erode(usable, window) > tolerance * np.maximum(usable, 1e-6)
     pixels, distance = camera.project(points_m)
     found, inside = sample(np.where(edge, np.float32(0), usable), pixels, "nearest")
     possible = known & inside & (distance > 0) & (found > 0)
     gap = np.where(possible, np.abs(found - np.where(possible, distance, 0)), np.inf)
-    return [possible & (gap <= tolerance * found) for tolerance in tolerances], pixels
+    return possible & (gap <= tolerance * found), pixels
 
 
 def truth_regions(
@@ -112,12 +112,11 @@ def truth_regions(
     first_frame: int,
     frames: int,
     tolerance: float,
-    sensitivity: tuple[float, float],
 ) -> Iterator[dict[str, Bool[np.ndarray, "H W"]]]:
     """Masks of one held-out camera's working frames, a dictionary per frame: people, background, seen, unseen, ….
 
-    A background pixel is seen when at that time some training camera sees the same surface without a person in front;
-    ``_strict`` and ``_loose`` use the two tolerances of ``sensitivity``. A person's pixel needs that frame's depth,
+    A background pixel is seen when at that time some training camera sees the same surface without a person in front.
+    A person's pixel needs that frame's depth,
     which the studio stores with ``truth: depth_frames``; without it ``people_seen`` and ``people_unseen`` are absent.
     """
     own = views[camera.name]
@@ -125,8 +124,7 @@ def truth_regions(
     depth_m, inside = sample(own.room_depth_m, pixels, "nearest")
     known = inside & np.isfinite(depth_m) & (depth_m > 0)
     points = own.camera.unproject(pixels, np.where(known, depth_m, 1.0).astype(np.float64))
-    tolerances = (tolerance, *sensitivity)
-    others = [is_visible(points, known, views[name].camera, views[name].room_depth_m, tolerances) for name in training]
+    others = [is_visible(points, known, views[name].camera, views[name].room_depth_m, tolerance) for name in training]
     stop = first_frame + frames
     streams = [read_frames(views[name].masks, first_frame, stop) for name in training]
     rows, columns, inside = nearest_pixels(pixels, own.room_depth_m.shape)
@@ -135,15 +133,12 @@ def truth_regions(
     for mask in read_frames(own.masks, first_frame, stop):
         labels = np.where(inside, mask[rows, columns], _PROPS)
         background = labels == 0
-        seen = [np.zeros(labels.shape, bool) for _ in tolerances]
+        seen = np.zeros(labels.shape, bool)
         for (visible, _), place, stream in zip(others, places, streams):
             clear = next(stream)[place] == 0
-            for total, each in zip(seen, visible):
-                total |= each & clear
+            seen |= visible & clear
         people = (labels > 0) & (labels < _PROPS)
-        found = {"people": people, "background": background}
-        for suffix, each in zip(("", "_strict", "_loose"), seen):
-            found |= {f"seen{suffix}": background & each, f"unseen{suffix}": background & ~each}
+        found = {"people": people, "background": background, "seen": background & seen, "unseen": background & ~seen}
         if moving is not None:
             found |= _visible_people(
                 people, pixels, own.camera, [views[n].camera for n in training], next(moving), tolerance
@@ -166,7 +161,7 @@ def _visible_people(
     points = own.unproject(where, np.where(known, depth_m, 1.0))
     covered = np.zeros(known.shape, bool)
     for camera, depth in zip(training, depths_m[1:]):
-        covered |= is_visible(points, known, camera, depth, (tolerance,))[0][0]
+        covered |= is_visible(points, known, camera, depth, tolerance)[0]
     seen, unseen = np.zeros(people.shape, bool), np.zeros(people.shape, bool)
     seen[people], unseen[people] = covered[0], (known & ~covered)[0]
     return {"people_seen": seen, "people_unseen": unseen}

@@ -28,13 +28,7 @@ _MEASURES = (
     ("ssim_background", "SSIM, room ↑", "", 4, "all other pixels"),
     ("psnr_seen", "PSNR, seen ↑", "dB", 2, "surfaces of the room that some training camera sees at that time"),
     ("psnr_unseen", "PSNR, unseen ↑", "dB", 2, "surfaces of the room that no training camera sees"),
-    (
-        "share_seen",
-        "share seen",
-        "",
-        3,
-        "of the room's pixels; at a stricter and a looser depth agreement in metrics.json",
-    ),
+    ("share_seen", "share seen", "", 3, "of the room's pixels"),
     ("psnr_people_seen", "PSNR, people seen ↑", "dB", 2, "surfaces of people that some training camera sees"),
     ("psnr_people_unseen", "PSNR, people unseen ↑", "dB", 2, "surfaces of people that no training camera sees"),
     (
