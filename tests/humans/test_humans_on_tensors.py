@@ -139,6 +139,7 @@ def test_no_step_brings_a_value_to_the_host(subjects: Callable) -> None:
         subject.finish()
 
 
+@pytest.mark.slow
 def test_a_killed_training_goes_on_with_its_own_state(subjects: Callable) -> None:
     _, whole, terms = subjects(**LETTER, densify={"use": "gradient", "every": 3, "gradient": 1e-7, "cap": 400})
     _, other, _ = subjects(**LETTER, densify={"use": "gradient", "every": 3, "gradient": 1e-7, "cap": 400})

@@ -114,6 +114,7 @@ def test_two_strangers_of_one_name_are_refused() -> None:
 
 
 @pytest.mark.real
+@pytest.mark.slow
 def test_a_man_in_a_gym_is_cut_out_of_a_picture(real_data: Path, networks: list[Path], tmp_path: Path) -> None:
     """A frame of footage as a photo: three people are seen, and the one in front is meant."""
     footage = cv2.VideoCapture(str(real_data / "pose2sim_balancing/single/videos/cam01.mp4"))

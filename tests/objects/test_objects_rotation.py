@@ -60,7 +60,11 @@ def test_a_thing_that_turns_looks_better_for_it(
 
 
 @pytest.mark.parametrize(
-    "colours", [((0.8, 0.15, 0.1), (0.8, 0.15, 0.1)), ((0.8, 0.15, 0.1), (0.9, 0.85, 0.2))], ids=["plain", "halved"]
+    "colours",
+    [
+        pytest.param(((0.8, 0.15, 0.1), (0.8, 0.15, 0.1)), id="plain", marks=pytest.mark.slow),
+        pytest.param(((0.8, 0.15, 0.1), (0.9, 0.85, 0.2)), id="halved"),
+    ],
 )
 def test_of_a_ball_nothing_tells_that_it_turns(settings: Settings, colours: tuple) -> None:
     """Of one colour nothing could; of two, which do not turn, nothing does."""

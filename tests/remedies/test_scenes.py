@@ -219,7 +219,7 @@ def camera_films(made: bool) -> Call:
 def second_run(wait: bool) -> Call:
     def call(_: Path) -> None:
         try:
-            runs.start_run("takes", "", ["sleep", "30" if not wait else "0.01"])
+            runs.start_run("takes", "", ["sleep", "3" if not wait else "0.01"])
             while wait and runs.current_run():
                 runs.time.sleep(0.01)
             runs.start_run("takes", "", [sys.executable, "-c", ""])

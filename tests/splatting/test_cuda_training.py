@@ -83,7 +83,7 @@ def test_gradient_growth_chooses_the_gaussians_that_the_cpu_chooses() -> None:
     """Offsets of split halves are drawn in another order, so what is compared is who had descendants, and what was
     learnt."""
     control = {
-        "iterations": 14,
+        "iterations": 10,
         "densify": "gradient",
         "densify_every": 8,
         "densify_from": 8,
