@@ -26,7 +26,7 @@ from studiorecon.progress import progress, say
 from studiorecon.report.metrics.bodies import compare_bodies
 from studiorecon.report.metrics.bootstrap import Bootstrap
 from studiorecon.report.metrics.definitions import NO_LPIPS, PROTOCOL, SEEN_BY, definitions, provenance
-from studiorecon.report.metrics.distance import TOO_SMALL, Net, missing_flip_reason, open_lpips
+from studiorecon.report.metrics.distance import TOO_SMALL, Net, open_lpips
 from studiorecon.report.metrics.estimated import SOURCE, EstimatedFiles, estimated_regions
 from studiorecon.report.metrics.films import ScoredFilmFiles, ScoredFilms
 from studiorecon.report.metrics.folders import digest
@@ -34,11 +34,10 @@ from studiorecon.report.metrics.identities import score_against, score_bodies_in
 from studiorecon.report.metrics.jitter import jitter
 from studiorecon.report.metrics.measures import (
     NAMES,
-    REGIONS,
-    SHARES,
     TEMPORAL,
     measure_sequence,
     missing_measure,
+    null_reasons,
     summaries,
 )
 from studiorecon.report.metrics.overlap import overlap
@@ -95,21 +94,6 @@ class Settings:
     lpips: Net = setting("none", "Network of LPIPS: alex as in most papers, vgg as in 3DGS; both need weights.")
 
 
-def missing_reasons(have_regions: bool, have_truth: bool, net: str) -> dict[str, str]:
-    """The reasons why a measure of a region, of time, or LPIPS with ``net``, may be null."""
-    region = "no frame shows at least 256 pixels of it" if have_regions else _NO_REGIONS
-    reasons = {f"{measure}_{name}": region for name in REGIONS for measure in ("psnr", "ssim")}
-    reasons |= dict.fromkeys(SHARES, region)
-    moving = _NO_DEPTH if have_truth else _NO_TRUTH
-    people = ("psnr_people_seen", "psnr_people_unseen", "ssim_people_seen", "ssim_people_unseen", "share_people_seen")
-    reasons |= dict.fromkeys(people, moving)
-    reasons |= dict.fromkeys(TEMPORAL, "needs at least two frames of 24 pixels a side")
-    reasons |= dict.fromkeys(("temporal_l1_seen", "temporal_l1_unseen"), region)
-    reasons["flip"] = missing_flip_reason()
-    reasons["lpips"] = NO_LPIPS if net == "none" else TOO_SMALL
-    return reasons | dict.fromkeys(("ssim", "ssim_3dgs"), "pictures are under 11 pixels a side")
-
-
 def measure_camera(
     scored: ScoredFilms,
     camera: str,
@@ -155,7 +139,9 @@ def score_pictures(
             masks = estimated_regions(estimated, people, camera, scored.training, start, frames, tolerance)
         for name, values in measure_camera(scored, camera.name, masks, settings.flow_preset, distance).items():
             measured.setdefault(name, {})[camera.name] = values
-    reasons = missing_reasons(bool(views or estimated.film_depth), bool(views), settings.lpips)
+    region = "no frame shows at least 256 pixels of it" if views or estimated.film_depth else _NO_REGIONS
+    lpips = NO_LPIPS if settings.lpips == "none" else TOO_SMALL
+    reasons = null_reasons(region, region, _NO_DEPTH if views else _NO_TRUTH, lpips)
     bootstrap = Bootstrap(settings.bootstrap_samples, settings.seed)
     return {
         name: summaries(found, TEMPORAL if name == "photo" else NAMES, reasons, bootstrap)

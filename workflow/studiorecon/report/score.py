@@ -26,15 +26,14 @@ from studiorecon.models.protocols import PerceptualDistance
 from studiorecon.progress import progress, say
 from studiorecon.report.metrics.bootstrap import Bootstrap
 from studiorecon.report.metrics.definitions import PROTOCOL, definitions, provenance
-from studiorecon.report.metrics.distance import TOO_SMALL, missing_flip_reason, open_lpips
+from studiorecon.report.metrics.distance import TOO_SMALL, open_lpips
 from studiorecon.report.metrics.folders import cameras_in, digest, read_folder_frames, read_masks
 from studiorecon.report.metrics.measures import (
     FLIP_EVERY,
     NAMES,
-    REGIONS,
-    SHARES,
     TEMPORAL,
     measure_sequence,
+    null_reasons,
     summaries,
 )
 from studiorecon.scene.files import write_json
@@ -93,20 +92,6 @@ def score_camera(
     return measure_sequence(together(), _FLOW_PRESET, distance)
 
 
-def reasons(have_masks: bool, have_lpips: bool) -> dict[str, str]:
-    """The reason why each measure may be null."""
-    person = "no frame shows at least 256 pixels of it" if have_masks else _NO_MASKS
-    found = {f"{m}_{r}": person if "seen" not in r else _NO_DEPTH for r in REGIONS for m in ("psnr", "ssim")}
-    found |= dict.fromkeys(SHARES, _NO_DEPTH)
-    found |= dict.fromkeys(
-        TEMPORAL, "needs at least two frames of 24 pixels a side and 256 pixels whose flow leads back"
-    )
-    found["flip"] = missing_flip_reason()
-    found["lpips"] = TOO_SMALL if have_lpips else _NO_WEIGHTS
-    found |= dict.fromkeys(("temporal_l1_seen", "temporal_l1_unseen"), _NO_DEPTH)
-    return found | dict.fromkeys(("ssim", "ssim_3dgs"), "pictures are under 11 pixels a side")
-
-
 def score(renders: Path, truth: Path, masks: Path | None, lpips: Path | None = None) -> dict[str, Any]:
     """All measures that the folders allow, as written to the JSON."""
     left, right = cameras_in(renders), cameras_in(truth)
@@ -128,7 +113,8 @@ def score(renders: Path, truth: Path, masks: Path | None, lpips: Path | None = N
         jobs = {c: pool.submit(score_camera, c, left[c], right[c], covers.get(c), distance) for c in common}
         measured = {camera: job.result() for camera, job in progress(list(jobs.items()), "cameras")}
     versions: dict[str, dict[str, Any]] = {}
-    why = reasons(masks is not None, lpips is not None)
+    people = _NO_MASKS if masks is None else "no frame shows at least 256 pixels of it"
+    why = null_reasons(people, _NO_DEPTH, _NO_DEPTH, _NO_WEIGHTS if lpips is None else TOO_SMALL)
     for version, names in (("renders", NAMES), ("photo", TEMPORAL)):
         versions[version] = summaries({c: found[version] for c, found in measured.items()}, names, why, _BOOTSTRAP)
     used = {

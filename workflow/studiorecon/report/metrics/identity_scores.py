@@ -85,9 +85,7 @@ def association_precision(
     """Share of the pairs of one given identity that are truly one person, no false detection (§1.2); NaN without a
     pair.
     """
-    frame, view, truth, given = _check_rows(frame, view, truth, given)
-    hits = [_same(truth, i, j)[_same(given, i, j)] for i, j in _pairs(frame, view)]
-    return _mean(hits)
+    return association_accuracy(frame, view, given, truth)
 
 
 def best_naming(truth: Integer[np.ndarray, " D"], given: Integer[np.ndarray, " D"]) -> dict[int, int]:

@@ -29,6 +29,7 @@ from studiorecon.images.metrics import (
 from studiorecon.images.temporal import forward_backward_consistent
 from studiorecon.models.protocols import PerceptualDistance
 from studiorecon.report.metrics.bootstrap import Bootstrap, mean_interval
+from studiorecon.report.metrics.distance import missing_flip_reason
 
 if TYPE_CHECKING:
     from jaxtyping import Bool, Integer, Num
@@ -230,6 +231,21 @@ def summaries(
                 entry["capped"] = sum(value == PSNR_CAP_DB for value in entry["frames"])
         result[name] = found
     return result
+
+
+def null_reasons(people: str, seen: str, people_seen: str, lpips: str) -> dict[str, str]:
+    """measure → why it may be null, by the reasons of regions of people and room, of seen surfaces, and of LPIPS."""
+    of_region = {
+        name: people_seen if name.startswith("people_") else seen if "seen" in name else people for name in REGIONS
+    }
+    found = {f"{measure}_{name}": of_region[name] for name in REGIONS for measure in ("psnr", "ssim")}
+    found |= {share: of_region[share.removeprefix("share_")] for share in SHARES}
+    found |= dict.fromkeys(
+        TEMPORAL, "needs at least two frames of 24 pixels a side and 256 pixels whose flow leads back"
+    )
+    found |= dict.fromkeys(("temporal_l1_seen", "temporal_l1_unseen"), seen)
+    found |= dict.fromkeys(("ssim", "ssim_3dgs"), "pictures are under 11 pixels a side")
+    return found | {"flip": missing_flip_reason(), "lpips": lpips}
 
 
 def missing_measure(reason: str) -> dict[str, Any]:
