@@ -47,8 +47,8 @@ class FilmDetector:
         moments = sorted({frames[round(k * (len(frames) - 1) / (_COMPARED - 1))] for k in range(_COMPARED)})
         apart, noise = differences_from_usual([shrink_picture(p) for p in spread_frames(footage, moments)])
         most = sorted(np.argsort(-apart.mean((1, 2)), kind="stable")[:_SHOW_UP].tolist())
-        shown, compared = [moments[k] for k in most], list(apart[most]) if len(moments) > 2 else []
-        turns, seen = quarter_turns(self.network, seek_frames(footage, shown), compared, noise)
+        shown, compared = [moments[k] for k in most], apart[most] if len(moments) > 2 else np.full_like(apart, np.nan)
+        turns, seen = quarter_turns(self.network, seek_frames(footage, shown), list(compared), noise)
         return replace(self, turns=turns, seen=dict(zip(shown, seen)))
 
     def rows(self, pictures: Iterable[Integer[np.ndarray, "H W 3"]], begin: int) -> list[tuple]:

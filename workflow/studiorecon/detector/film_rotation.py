@@ -39,14 +39,14 @@ _MIN_NOISE_LEVELS = 1.0
 def quarter_turns(
     detector: Detector,
     pictures: Sequence[Integer[np.ndarray, "H W 3"]],
-    apart: Sequence[Float[np.ndarray, "h w"]] = (),
-    noise: float = 0.0,
+    apart: Sequence[Float[np.ndarray, "h w"]],
+    noise: float,
 ) -> tuple[int, list[list[Landmarks]]]:
     """(counter-clockwise quarter turns, 0 to 3, with which ``detector`` most likely sees people upright in
     ``pictures``, who is in the first pictures turned so).
 
     ``apart``: differences of the pictures from the film's usual one, smaller or not, and the ``noise`` of these
-    differences; without them, motion says nothing.
+    differences; where these are NaN, motion says nothing.
     """
     nats = [0.0, *[_TURNED_NATS] * 3]
     seen: list[list[list[Landmarks]]] = [[], [], [], []]
@@ -55,7 +55,7 @@ def quarter_turns(
             turned = rotate_picture(picture, turns)
             people = detector.detect_new_people(turned)
             seen[turns].append(people)
-            moved = np.rot90(apart[number], turns) / max(noise, _MIN_NOISE_LEVELS) if len(apart) else None
+            moved = np.rot90(apart[number], turns) / max(noise, _MIN_NOISE_LEVELS)
             found = sum(_upright_nats(one, moved, turned.shape[:2]) for one in people)
             if not turns and found > _SURE_NATS:
                 return 0, seen[0]
@@ -64,18 +64,19 @@ def quarter_turns(
     return best, seen[best]
 
 
-def _upright_nats(seen: Landmarks, moved: Float[np.ndarray, "h w"] | None, hw: tuple[int, ...]) -> float:
+def _upright_nats(seen: Landmarks, moved: Float[np.ndarray, "h w"], hw: tuple[int, ...]) -> float:
     """Log evidence of an upright person, at least 0: nobody says nothing about how a camera hangs. ``moved``: multiples
-    of the noise by which a picture of height and width ``hw`` differs from the usual one."""
+    of the noise by which a picture of height and width ``hw`` differs from the usual one, NaN unknown."""
     if abs(seen.next_region.turn_rad) >= _UPRIGHT_RAD:
         return 0.0
     trust = (landmark_confidence(seen) - np.array([_PERSON_TRUST, _FURNITURE_TRUST])) / _TRUST_SIGMA
     nats = float(trust[1] ** 2 - trust[0] ** 2) / 2
-    if moved is not None:
-        size = np.array(moved.shape[::-1])
-        place = np.floor(seen.keypoints[:, :2] * size / hw[::-1]).astype(int)
-        place = place[((place >= 0) & (place < size)).all(1)]
-        times = np.log(max(float(moved[place[:, 1], place[:, 0]].mean()), 1.0)) if len(place) else 0.0
+    size = np.array(moved.shape[::-1])
+    place = np.floor(seen.keypoints[:, :2] * size / hw[::-1]).astype(int)
+    place = place[((place >= 0) & (place < size)).all(1)]
+    multiple = float(moved[place[:, 1], place[:, 0]].mean()) if len(place) else 0.0
+    if np.isfinite(multiple):
+        times = np.log(max(multiple, 1.0))
         moving, still = (np.exp(-(((times - mean) / sigma) ** 2) / 2) / sigma for mean, sigma in (_MOVING, _STILL))
         person = (1 - _STILL_PEOPLE) * moving + _STILL_PEOPLE * still
         nats += float(np.log(person / (_PASSED_FURNITURE * moving + (1 - _PASSED_FURNITURE) * still)))
