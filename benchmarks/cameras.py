@@ -45,6 +45,7 @@ from studiorecon.plan.discovery import open_dataset
 from studiorecon.scene.camera import Camera, Lens
 from studiorecon.scene.files import read_json
 from studiorecon.scene.people import Detections, read_detections
+from studiorecon.scene.schema import record
 from studiorecon.tracks import keypoints as tracks_keypoints
 
 from benchmarks.pose2sim_peer import pose2sim_points
@@ -194,7 +195,7 @@ def real_doctor(data: Path, take: str, out: Path) -> tuple[dict[str, Any], list[
 
     _, cost = timed(steps)
     report = read_json(out / "doctor.json")
-    lenses = [Lens.from_json(v) for v in read_json(out / "calibration.json")["lenses"]]
+    lenses = [record(Lens, v) for v in read_json(out / "calibration.json")["lenses"]]
     sizes = [tuple(read_json(out / f"{c}.json")["wh"]) for c in MAN]
     both = [to_pinhole(read_detections(out / f"{c}.npz"), lens, wh) for c, lens, wh in zip(MAN, lenses, sizes)]
     reported = {

@@ -38,6 +38,7 @@ from studiorecon.footage.video import to_bytes
 from studiorecon.scene.camera import Camera
 from studiorecon.scene.files import read_json, write_json
 from studiorecon.scene.room import read_room
+from studiorecon.scene.schema import record
 from studiorecon.studio.room import HALF_X_M, HALF_Y_M
 from studiorecon.views import synthesize
 from studiorecon.views.forward_warp import blend_photos, warp_source
@@ -97,7 +98,7 @@ class Room:
 
 def made_room(folder: Path) -> Room:
     held_out = set(read_json(folder / "truth.json")["held_out"])
-    everyone = [Camera.from_json(c) for c in read_json(folder / "cameras.json")]
+    everyone = [record(Camera, c) for c in read_json(folder / "cameras.json")]
     plates = {c.name: read_plate(folder / f"plates/{c.name}.png")[0] for c in everyone}
     cameras, views = [c for c in everyone if c.name not in held_out], [c for c in everyone if c.name in held_out]
     truth = [read_depth(folder / f"depth/{c.name}.exr")[0] for c in cameras]

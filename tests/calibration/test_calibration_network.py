@@ -24,6 +24,7 @@ from studiorecon.models.protocols import Reconstruction
 from studiorecon.scene.camera import Camera, Lens
 from studiorecon.scene.clocks import Clock, Clocks, write_clocks
 from studiorecon.scene.people import Detections, read_detections, write_detections
+from studiorecon.scene.schema import record
 
 from tests.made.imported import imported
 from tests.made.networks import room_views
@@ -146,7 +147,7 @@ def test_footage_becomes_a_calibration_in_metres(
         "{}",
         tmp_path / "calibration.json",
     )
-    lenses = [Lens.from_json(v) for v in json.loads((tmp_path / "calibration.json").read_text())["lenses"]]
+    lenses = [record(Lens, v) for v in json.loads((tmp_path / "calibration.json").read_text())["lenses"]]
     own = np.array([-lens.camera_from_world[:3, :3].T @ lens.camera_from_world[:3, 3] for lens in lenses])
     true = np.array([c.centre_m for c in truth])
     gaps, wanted = (np.linalg.norm(x[:, None] - x[None], axis=-1) for x in (own, true))

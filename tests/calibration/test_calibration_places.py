@@ -26,6 +26,7 @@ from studiorecon.keypoints.readers import read_keypoints
 from studiorecon.rig.lens_model import reinterpret_lens
 from studiorecon.scene.camera import Camera, Lens
 from studiorecon.scene.people import Detections
+from studiorecon.scene.schema import record
 
 from tests.made.cameras import detect, walk
 from tests.made.readings import PEOPLE, reading, rig
@@ -113,7 +114,7 @@ def test_people_and_motion_show_what_was_already_undistorted(straight_keypoints,
         assert (lens.of_keypoints.distortion == 0).all() == straight_keypoints
         same = to_pinhole(own, lens, camera.wh)[1].keypoints
         np.testing.assert_allclose(same, to_pinhole(own, lens.of_keypoints, camera.wh)[1].keypoints)
-        read = Lens.from_json(json.loads(json.dumps(lens.as_json(), default=list)))
+        read = record(Lens, json.loads(json.dumps(lens.as_json(), default=list)))
         np.testing.assert_array_equal(read.of_keypoints.distortion, lens.of_keypoints.distortion)
         # The doctor tries the other model too.
         assert (

@@ -24,6 +24,7 @@ from studiorecon.scene.camera import Camera, Lens
 from studiorecon.scene.capture import Footage, Manifest, write_manifest
 from studiorecon.scene.files import read_json, write_json
 from studiorecon.scene.people import write_detections
+from studiorecon.scene.schema import record
 
 from tests.made.cameras import detect, ring, walk
 from tests.made.cameras_parts import DISTORTION, matrix, write_toml
@@ -161,7 +162,7 @@ def test_every_format_gives_the_same_cameras(tmp_path, options, form):
     cameras = named_ring()
     names = [c.name for c in cameras][::-1]  # the footage's order is not the file's
     imported(options(), WRITERS[form](tmp_path, cameras), names, "{}", tmp_path / "calibration.json")
-    lenses = [Lens.from_json(v) for v in read_json(tmp_path / "calibration.json")["lenses"]]
+    lenses = [record(Lens, v) for v in read_json(tmp_path / "calibration.json")["lenses"]]
     assert [lens.name for lens in lenses] == names
     shift = lenses[0].camera_from_world[:3, :3].T @ (
         cameras[-1].camera_from_world[:3, 3] - lenses[0].camera_from_world[:3, 3]

@@ -166,6 +166,7 @@ def test_files_without_anybody_are_read(tmp_path: Path, empty: str) -> None:
         ({"people": [{"keypoints": [1, 2, 3]}]}, "has no pose_keypoints_2d, but keypoints"),
         ({"people": [7]}, "must be one person's keypoints"),
         ([instance(0) | {"keypoint_scores": [1.0]}], "17 keypoints and 1 scores"),
+        ([instance(0) | {"keypoints": POINTS[0].tolist()}], "beside keypoint_scores; write x and y"),
         ({"bones": []}, "neither"),
     ],
 )
@@ -217,6 +218,17 @@ VALUES = {
     "gap": ([np.nan, np.nan, np.nan], ""),
     "missing": ([0, 0, -1], ""),
 }
+
+
+@pytest.mark.parametrize(
+    ("score", "said"), [(0, "all scores are 0 or less"), (-2, "all scores"), (np.nan, "no scores")]
+)
+def test_people_without_any_score_are_not_dropped_in_silence(
+    score: float, said: str, tmp_path: Path, capsys: pytest.CaptureFixture
+) -> None:
+    np.savez(tmp_path / "k.npz", keypoints=np.where([True, True, False], POINTS, score))
+    assert len(read_keypoints(tmp_path / "k.npz").frame) == 3
+    assert said in capsys.readouterr().out
 
 
 @pytest.mark.parametrize("case", VALUES)

@@ -77,8 +77,8 @@ def fewer_cameras(right: Mapping[str, Any], now: Mapping[str, Any]) -> bool:
 _LISTED = "(openpose|easymocap keypoints|coco|mmpose|mediapipe)"
 _KEYPOINTS = f"({_LISTED}|keypoint npz|deeplabcut)"
 _CALIBRATIONS = "(transforms|toml|extri|qualisys|vicon|optitrack|llff)"
-_PICTURE = "(range|count|doubled|sign|unit|order|zero|mirrored|swapped|frozen|late|file: a hole|byte order)"
-_POSE = "(sign|order|zero|byte order|frozen|late)"
+_PICTURE = "(range|count|doubled|sign|unit|order|zero|mirrored|swapped|frozen|late|file: a hole|byte order|cast)"
+_POSE = "(sign|order|zero|byte order|frozen|late|cast)"
 FREE: dict[str, tuple[Callable[[Any, Any], bool], tuple[str, ...]]] = {
     "a detector may see nobody, or fewer; the step says where a film has nobody": (
         fewer,
@@ -101,8 +101,8 @@ FREE: dict[str, tuple[Callable[[Any, Any], bool], tuple[str, ...]]] = {
         only(r"\.\w+\.(camera_from_world|distortion)"),
         (
             rf"(toml|extri|qualisys|vicon|optitrack|llff): {_POSE} at .*",
-            r"transforms: (late at .*transform_matrix|(missing|sign|zero) at k1)",
-            r"vicon: missing at .*RADIAL2",
+            r"transforms: (late at .*transform_matrix|(missing|sign|zero|cast) at k1)",
+            r"vicon: (missing|respelled) at .*RADIAL2",
         ),
     ),
     "a camera of another name, or none, which no film fits": (
@@ -114,17 +114,18 @@ FREE: dict[str, tuple[Callable[[Any, Any], bool], tuple[str, ...]]] = {
         (
             r"capture\.yaml: (missing at .*|unknown at height_m|whole at starts\.a|zero at (frames\.count|people))",
             r"capture\.yaml: (unit|sign|order|zero|byte order|late) at (focal_px|pixel_maps|starts)\..*",
+            r"capture\.yaml: (cast|respelled) at (distance_m|height_m)\..*",
         ),
     ),
     "another studio": (
         only(r"\.(seed|people|(effects|detections)\..*)"),
-        (r"studio: (file: (empty|half)|missing|(range|sign|zero|byte order)) at .*",),
+        (r"studio: (file: (empty|half)|missing|(range|sign|zero|byte order|cast)) at .*",),
     ),
     "another picture or film; masks.read_given counts pictures; films are compared with plates, people and depth": (
         only(r"\.(\d+|count)(\.(\d+|count))?"),
         (
             rf"(given plate|mask|given depth|depth np[yz]|film): {_PICTURE} at .*",
-            r"mask: file: gone at |given depth: missing at A|depth np[yz]: (finite|infinite) at .*",
+            r"mask: file: gone at |given depth: (missing|respelled) at A|depth np[yz]: (finite|infinite) at .*",
             r"film: (unknown at |truth at fps)",
         ),
     ),

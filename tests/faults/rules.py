@@ -171,6 +171,13 @@ def _deep(value: Any) -> Any:
     return value
 
 
+def _bare(value: Any) -> Any:
+    """A matrix without its header: its numbers alone."""
+    if not isinstance(value, dict) or "data" not in value:
+        raise Skip
+    return value["data"]
+
+
 def _frozen(rows: Any) -> Any:
     """The second half stands still at its first row."""
     half = len(rows) // 2
@@ -206,6 +213,9 @@ FIELD: dict[str, Callable[[Any], Any]] = {
     "endless": _first(10**400),
     "deep": _deep,
     "zero": _numbers(lambda values: values * 0),
+    "cast": _numbers(_floats_only(lambda values: values.astype(np.int64))),
+    "complex": _numbers(_floats_only(lambda values: values + 0j)),
+    "bare": _bare,
     "byte order": _numbers(lambda values: values.byteswap()),
     "frozen": _rows(_frozen),
     "late": _rows(lambda rows: [*rows[-1:], *rows[:-1]] if isinstance(rows, list) else np.roll(rows, 1, axis=0)),
@@ -240,7 +250,7 @@ PLACES: dict[str, Callable[[Path], object]] = {
 }
 NAMES = [
     "$(touch x)", "`touch x`", "a&b", "..", ".", "/etc", "-rf", "a\nb", "a;b", "a{b}", "", "a" * 101, "a  b", "a:b",
-    "\u202ea", "a\u200bb", "\N{CAMERA}1",
+    "\u202ea", "a\u200bb", "\N{CAMERA}1", "cam" * 20, "take_" + "ab" * 21,
 ]  # fmt: skip
 
 
@@ -282,6 +292,8 @@ def _trees(tree: Any) -> Iterator[tuple[str, tuple, Any]]:
             arrays = path == () and any(isinstance(v, np.ndarray) for v in value.values())
             yield "unknown", path, _replaced(tree, path, {**value, "unheard": np.zeros(1) if arrays else 1})
             for key in value:
+                other = {k.swapcase() if k == key else k: v for k, v in value.items() if isinstance(k, str)}
+                yield "respelled", (*path, key), _replaced(tree, path, other)
                 yield "missing", (*path, key), _replaced(tree, path, {k: v for k, v in value.items() if k != key})
 
 

@@ -96,6 +96,10 @@ def test_nothing_that_changes_a_whole_capture_is_silent() -> None:
         ({"videos/.cam3.mp4.icloud": b"bplist00"}, "cam3.mp4 from iCloud"),
         ({"capture.yaml": b"frames:\n\tfirst: 2\n"}, "line 2: a tab; indent with blanks"),
         ({"capture.yaml": b"starts: {cam1: 0,5}\n"}, "5 has no value; write a number with a point"),
+        ({"capture.yaml": b"starts: {cam1: 3, CAM1: 4}\n"}, "starts has camera cam1 twice"),
+        ({"capture.yml": b"people: 2\n", "Capture.yaml": b"people: 0\n"}, r"Capture\.yaml and capture\.yml; keep one"),
+        ({"capture.yaml": b"people: " + b"9" * 5000}, r"Exceeds the limit .* digits\)$"),
+        ({"videos/manifest.mp4": b"x"}, "has the name of a table of results"),
     ],
 )
 def test_what_clouds_and_editors_do_to_a_capture_is_named(
@@ -131,6 +135,9 @@ def test_hostile_names_are_refused(name: str) -> None:
         check_name(name, "the scene", "rename it")
 
 
-@pytest.mark.parametrize("name", ["cam 1", "GX010042", "video (1)", "Küche", "cam_01.left", "カメラ1"])
+@pytest.mark.parametrize(
+    "name",
+    ["cam 1", "GX010042", "video (1)", "Küche", "cam_01.left", "カメラ1", "cam" * 19, "0" * 19 + "1", "ab" * 25 + "x"],
+)
 def test_ordinary_names_are_taken(name: str) -> None:
     assert check_name(name, "the scene", "rename it") == name

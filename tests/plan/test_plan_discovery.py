@@ -159,6 +159,10 @@ def test_both_files_of_a_calibration_are_found(made: Callable[..., Path], files:
         ("plates/a.png plates/x.png", "no camera's name fits"),
         ("notes.txt", "no file of a kind that is read"),
         ("empty/", "it is empty"),
+        ("videos/.c.mp4", "a hidden or half-copied film"),
+        ("videos/.c.mp4.x7Qz2k", "a hidden or half-copied film"),
+        ("videos/capture.yaml", "in the capture's own folder"),
+        ("capture.json", "in the capture's own folder"),
     ],
 )
 def test_what_is_not_used_is_named_with_the_reason(made: Callable[..., Path], extra: str, words: str) -> None:

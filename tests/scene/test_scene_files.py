@@ -17,6 +17,7 @@ from studiorecon.scene.camera import Camera, Lens
 from studiorecon.scene.files import atomic_path, read_json, read_table, write_json
 from studiorecon.scene.numbered_files import missing_numbers_text, pictures_in
 from studiorecon.scene.path import PathStep, read_path, write_path
+from studiorecon.scene.schema import record
 from studiorecon.scene.user_files import read_npz
 
 from tests.made.file_contents import npy
@@ -68,7 +69,7 @@ def test_colmap_model_is_read_by_pycolmap(tmp_path: Path) -> None:
 def test_lens_and_path_survive_json(tmp_path: Path) -> None:
     lens = Lens("a", (640, 480), np.eye(3), "opencv", np.arange(5.0), np.eye(4), np.array([[1, 0, 0], [0, 1, 7.2]]))
     write_json(tmp_path / "lens.json", lens.as_json())
-    back = Lens.from_json(read_json(tmp_path / "lens.json"))
+    back = record(Lens, read_json(tmp_path / "lens.json"))
     np.testing.assert_array_equal(back.distortion, lens.distortion)
     np.testing.assert_array_equal(back.calibration_from_video, lens.calibration_from_video)
     write_path(tmp_path / "path.json", [PathStep(camera("x", 8), 2.5, "00")], 30.0)

@@ -25,6 +25,7 @@ from studiorecon.footage.video import read_stack
 from studiorecon.keypoints.layouts import HAND_POINT_NAMES, LAYOUTS
 from studiorecon.plan.discovery import open_dataset
 from studiorecon.scene.camera import Camera
+from studiorecon.scene.schema import record
 from studiorecon.studio import capture, performance, rig, takes
 from studiorecon.studio.actors import Actors
 from studiorecon.studio.calibration import calibration_texts
@@ -67,7 +68,7 @@ def plain(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 def cameras_of(folder: Path) -> dict[str, Camera]:
-    return {c["name"]: Camera.from_json(c) for c in json.loads((folder / "truth" / "cameras.json").read_text())}
+    return {c["name"]: record(Camera, c) for c in json.loads((folder / "truth" / "cameras.json").read_text())}
 
 
 def video(path: Path) -> np.ndarray:

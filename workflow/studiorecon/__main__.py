@@ -34,6 +34,7 @@ from studiorecon.machine.resource_errors import describe_resource_error, memory_
 from studiorecon.models.catalogue.sandbox import confine_process
 from studiorecon.progress import LOGGER, fail, log_to, warn
 from studiorecon.scene.files import remove_remains
+from studiorecon.scene.names import as_paths
 from studiorecon.signature import Written
 
 _MAX_PIXELS = 2**28
@@ -195,7 +196,7 @@ def _parse(step: str, run: typing.Callable, argv: list[str]) -> dict:
         parser.add_argument(
             "--" + name.replace("_", "-"), dest=name, type=_plain(kind), required=required, default=default, **extra
         )
-    return vars(parser.parse_args(argv))
+    return vars(parser.parse_args(as_paths(argv)))
 
 
 def step_options(run: Callable) -> Iterator[tuple[str, Any, Any]]:

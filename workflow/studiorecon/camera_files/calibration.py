@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from studiorecon.scene.camera import LENS, Lens
-from studiorecon.scene.schema import Anything, ListOf, MappingOf, OptionalField, flag, text
+from studiorecon.scene.schema import Anything, ListOf, MappingOf, OptionalField, flag, record, text
 from studiorecon.scene.step_files import expect, read, require
 
 _CALIBRATION = {
@@ -45,7 +45,7 @@ def read_calibration(path: Path) -> Calibration:
 
 
 def _calibration(value: Mapping[str, Any]) -> Calibration:
-    lenses = {lens.name: lens for lens in map(Lens.from_json, value["lenses"])}
+    lenses = {lens.name: lens for lens in (record(Lens, one) for one in value["lenses"])}
     expect(len(lenses) == len(value["lenses"]), "two lenses share a name")
     about = {name: value.get(name) for name in ("source", "format", "notes", "doubts")}
     left_out = (value.get("people_rig") or {}).get("left_out", {})

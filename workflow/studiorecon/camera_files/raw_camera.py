@@ -5,7 +5,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -30,6 +30,8 @@ _MAX_LENGTH = 1e9
 _MAX_OFF_CENTRE = 1.5
 # A lens shift or an asymmetric crop moves it by less; 0, which programs write for an unknown one, is 0.5 away.
 _MAX_USUAL_OFF_CENTRE = 0.3
+# Pixels are square within a percent; squeezed films are scaled by a third or more.
+_MAX_APART = 1.2
 # Share of the focal length: a skew moves the edge of a usual picture by half of it.
 _MAX_SKEW = 0.01
 # Largest error, after a file's rounding, of a number that should be 0 or 1.
@@ -54,15 +56,20 @@ class RawCamera:
     distortion: Num[np.ndarray, " C"]
     camera_from_world: Num[np.ndarray, "4 4"]
 
-    @staticmethod
-    def from_json(value: dict[str, Any]) -> RawCamera:
-        arrays = {k: np.array(value[k], float) for k in ("intrinsics", "distortion", "camera_from_world")}
-        return RawCamera(**{**value, **arrays, "wh": (int(value["wh"][0]), int(value["wh"][1]))})
-
 
 def _focal_range_px(wh: tuple[int, int]) -> tuple[float, float]:
     longer = max(wh)
     return (_MIN_FOCAL * longer, _MAX_FOCAL * longer) if longer else (MIN_FOCAL_PX, MAX_FOCAL_PX)
+
+
+def pose_rows(block: Num[np.ndarray, "R C"], where: str) -> Float[np.ndarray, "3 4"]:
+    """The rotation and translation of a 3×4 or 4×4 pose; raises UserError for another shape or last row."""
+    if block.size not in (12, 16) or not np.isfinite(block).all():
+        raise UserError(f"{where}: its pose holds {block.size} numbers, or some that are not finite; write 3×4 or 4×4")
+    rows = block.reshape(-1, 4)
+    if not np.allclose(rows[3:], [0, 0, 0, 1]):
+        raise UserError(f"{where}: the last row of its pose is {rows[3].tolist()}; it must be 0 0 0 1")
+    return rows[:3]
 
 
 def check_focal_px(given: Mapping[str, float], size: Mapping[str, tuple[int, int]]) -> Mapping[str, float]:
@@ -105,6 +112,11 @@ def check_camera(name: str, camera: RawCamera, source: str) -> tuple[RawCamera, 
         notes.append(
             f"{where}: its principal point ({centre[0]:g}, {centre[1]:g}) is far from the middle of its pictures of "
             f"{camera.wh[0]}×{camera.wh[1]}, which only happens for a cropped corner"
+        )
+    if (apart := intrinsics[0, 0] / intrinsics[1, 1]) > _MAX_APART or apart < 1 / _MAX_APART:
+        notes.append(
+            f"{where}: its focal lengths fx {intrinsics[0, 0]:g} and fy {intrinsics[1, 1]:g} mean pixels {apart:.3g} "
+            "times as high as wide; check the numbers, unless the picture is squeezed"
         )
     if not (np.isfinite(camera.distortion).all() and (np.abs(camera.distortion) < _MAX_COEFFICIENT).all()):
         raise UserError(f"{where}: its distortion {camera.distortion.tolist()} is no lens's; calibrate it again")

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from studiorecon.camera_files.lens_kinds import coefficients, lens_model
-from studiorecon.camera_files.raw_camera import RawCamera, camera_from_world_of_pose, intrinsics_matrix
+from studiorecon.camera_files.raw_camera import RawCamera, camera_from_world_of_pose, intrinsics_matrix, pose_rows
 from studiorecon.errors import UserError
 from studiorecon.scene.files import read_json
 from studiorecon.scene.user_values import numbers, short_text
@@ -72,7 +72,7 @@ def camera_name(frame: dict[str, Any]) -> str:
     """``camera_label`` when there is one, else the picture's folder, else the picture's stem."""
     if frame.get("camera_label") is not None:
         return str(frame["camera_label"])
-    path = PurePosixPath(str(frame.get("file_path", "")))
+    path = PurePosixPath(str(frame.get("file_path", "")).replace("\\", "/"))
     return path.parent.name if path.parent.name not in _GENERIC_FOLDERS else path.stem
 
 
@@ -82,14 +82,10 @@ def _camera(lens: dict[str, Any], source_from_file: np.ndarray, where: str) -> t
         fx = float(lens["fl_x"]) if "fl_x" in lens else width / 2 / np.tan(float(lens["camera_angle_x"]) / 2)
         if not isinstance(lens.get("file_path", ""), str):
             raise UserError(f"{where}: its file_path is {short_text(lens['file_path'])}; it must name the picture")
-        pose = np.asarray(lens["transform_matrix"], dtype=np.float64)
+        pose = pose_rows(numbers(lens["transform_matrix"], f"{where}: its transform_matrix", finite=False), where)
     except KeyError as error:
         missing = str(error.args[0]).replace("camera_angle_x", "fl_x or camera_angle_x")
         raise UserError(f"{where} has no {missing}; write it there") from None
-    if pose.shape not in ((4, 4), (3, 4)):
-        raise UserError(f"{where}: its transform_matrix is {pose.shape}, expected (4, 4)")
-    if not np.isfinite(pose).all():
-        raise UserError(f"{where}: its transform_matrix holds numbers that are not finite; calibrate this camera again")
     if width % 1 or height % 1:
         raise UserError(f"{where}: its w and h are {width:g} and {height:g}; sizes are whole numbers of pixels")
     across = lens.get("camera_angle_y")
@@ -99,6 +95,8 @@ def _camera(lens: dict[str, Any], source_from_file: np.ndarray, where: str) -> t
     # distortion_params, if a file has them, are in nerfstudio's own order k1 k2 k3 k4 p1 p2.
     listed = dict(zip(("k1", "k2", "k3", "k4", "p1", "p2"), lens.get("distortion_params") or ()))
     term = {key: lens.get(key, listed.get(key, 0)) for key in (*_TERMS["opencv"], *_NEVER)}
+    if odd := next((key for key in lens if key != key.lower() and key.lower() in (*term, "cx", "cy", "fl_y")), None):
+        raise UserError(f"{where}: {odd} is no number of a lens; did you mean {odd.lower()}?")
     if left := [key for key, value in term.items() if value and key not in _TERMS[model]]:
         raise UserError(
             f"{where}: {left[0]} is {short_text(term[left[0]])}, which the lens model {model} does not have"

@@ -26,6 +26,7 @@ from studiorecon.home import CONFIGURATION, HOME, SCHEMA
 from studiorecon.machine.crash_report import fault_sentence, keep_trace
 from studiorecon.machine.output import unbroken_output
 from studiorecon.machine.resource_errors import describe_resource_error
+from studiorecon.scene.names import as_paths
 
 if TYPE_CHECKING:
     from studiorecon.window.serving import LocalServer
@@ -39,7 +40,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     given = list(sys.argv[1:] if argv is None else argv)
     cut = given.index("--") if "--" in given else len(given)
     parser = _parser()
-    options = parser.parse_args(given[:cut])
+    options = parser.parse_args(as_paths(given[:cut]))
     if options.word is None:
         parser.print_help()
         return 0

@@ -77,7 +77,7 @@ def run(
             rest = dict(zip(other_cameras, others, strict=True))
             first = None if first_frame == "auto" else int(first_frame)
             own, described = _compared(settings, camera, keypoints, rest, layout, first, filmed, pixel_map)
-            about = replace(about, refusal=own.refusal, notes=described)
+            about = replace(about, refusal=own.refusal, notes=tuple(described))
             frames = int(own.pictures[-1]) + 1 if len(own.pictures) else 0
             found = detections_from_recorded(own, *_as_filmed(camera, filmed, frames, pixel_map), settings)
             found = _nobody(camera) if own.refusal else found

@@ -44,7 +44,8 @@ def is_film(path: Path) -> bool:
     """Whether a file is a film: by its suffix, so that a damaged one is reported, else by its content."""
     if path.suffix.lower() in film_suffixes():
         return True
-    if path.suffix.lower() in _SOUND | _UNFINISHED or not path.is_file():
+    # Files of /proc have no bytes, and some of them block whoever opens them.
+    if path.suffix.lower() in _SOUND | _UNFINISHED or not path.is_file() or not path.stat().st_size:
         return False
     try:
         with open_container(path) as container:

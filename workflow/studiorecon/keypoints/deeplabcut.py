@@ -56,7 +56,7 @@ def read_deeplabcut(path: Path) -> dict[int, list[Float[np.ndarray, "K 3"]]]:
         for (individual, part, coordinate), value in zip(columns, values):
             if part in place:
                 persons[people.index(individual), place[part], coordinate] = value
-        found[frame] = list(persons[(persons[..., 2] > 0).any(-1)])
+        found[frame] = list(persons)
     return found
 
 
@@ -130,7 +130,7 @@ def _layout(names: Sequence[str], path: Path) -> tuple[str, dict[str, int]]:
 
 
 def _values(path: Path, line: int, cells: list[str], count: int) -> tuple[int, list[float]]:
-    number = re.search(r"(?<!\d)(\d{1,18})(?:\.\w+)?$", cells[0].strip())
+    number = re.search(r"(?<!\d)(?<!^-)(\d{1,18})(?:\.\w+)?$", cells[0].strip())
     if number is None or len(cells) != count + 1:
         raise UserError(
             f"{path}, line {line}: it holds {len(cells)} cells and begins with {short_text(cells[0])}; a frame's "

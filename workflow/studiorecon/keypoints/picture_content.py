@@ -90,13 +90,15 @@ def _points(given: Any, person: Mapping[Any, Any], where: str) -> np.ndarray:
         given = np.column_stack(columns).tolist()
     points = numbers(given, f"{where}: keypoints", finite=False)
     points = points[0] if points.ndim == 3 and len(points) == 1 else points
+    scores = person.get("keypoint_scores")
     if points.ndim == 2 and points.shape[1] == 2:
-        scores = person.get("keypoint_scores")
         given_scores = [math.nan] * len(points) if scores is None else scores
         score = numbers(given_scores, f"{where}: keypoint_scores", finite=False)
         if score.size != len(points):
             raise UserError(f"{where} has {len(points)} keypoints and {score.size} scores; one for each is needed")
         return np.column_stack([points, score.reshape(-1)])
+    if scores is not None and points.ndim == 2 and points.size:
+        raise UserError(f"{where}: keypoints are an array {points.shape} beside keypoint_scores; write x and y of each")
     if points.ndim > 2 or points.size % 3 or (points.ndim == 2 and points.size and points.shape[1] != 3):
         raise UserError(
             f"{where}: keypoints are an array {points.shape}; they must be triples of x, y, score, or pairs of x, y"

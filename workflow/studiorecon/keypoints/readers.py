@@ -82,7 +82,8 @@ def read_keypoints(path: Path, picture_wh: tuple[int, int] = (0, 0)) -> Recorded
 def _checked(found: Pictures, path: Path) -> RecordedKeypoints:
     """``found`` as arrays, once numbers of people, keypoints and scores are checked."""
     pictures = sorted(found.people)
-    everybody = [(number, points) for number in pictures for points in found.people[number]]
+    # Tables have a place for everybody in every picture: 0, or no number, where somebody is not seen.
+    everybody = [(n, points) for n in pictures for points in found.people[n] if np.nan_to_num(points).any()]
     counts = sorted({len(points) for _, points in everybody})
     if len(counts) == 2 and counts[1] == counts[0] + 2 * HAND_POINTS:  # hands are written only of those who show one
         everybody = [(n, np.concatenate([p, np.zeros((counts[1] - len(p), 3))])) for n, p in everybody]
@@ -185,20 +186,18 @@ def _neutral(path: Path) -> Pictures:
         raise UserError(f"{path} has no array named keypoints (frames, people, keypoints, 2 or 3)")
     points = numbers(data["keypoints"], f"{path}: keypoints", finite=False)
     scored = next((data[name] for name in ("scores", "keypoint_scores") if name in data), None)
-    if points.ndim not in (3, 4) or points.shape[-1] not in (2, 3) or (points.shape[-1] == 2 and scored is None):
+    if points.ndim not in (3, 4) or points.shape[-1] != (3 if scored is None else 2):
         raise UserError(
             f"{path}: keypoints are {points.shape}; they must be (frames, people, keypoints, 3), or 2 with an array "
             "scores"
         )
-    if points.shape[-1] == 2:
+    if scored is not None:
         scores = numbers(scored, f"{path}: scores", finite=False)
         if scores.shape != points.shape[:-1]:
             raise UserError(f"{path}: scores are {scores.shape} for keypoints {points.shape}; one for each is needed")
         points = np.concatenate([points, scores[..., None]], axis=-1)
     points = points[:, None] if points.ndim == 3 else points
-    present = (np.nan_to_num(points[..., 2]) > 0).any(-1)
-    people: dict[int, list[Any]] = {t: list(points[t, present[t]]) for t in range(len(points))}
-    return Pictures("npz", people, counted=True)
+    return Pictures("npz", {t: list(people) for t, people in enumerate(points)}, counted=True)
 
 
 def formats_table() -> str:

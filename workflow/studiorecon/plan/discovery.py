@@ -55,7 +55,8 @@ def open_dataset(folder: Path, capture_yaml: Path | None = None) -> Dataset:
     Its paths are relative to ``folder``. Raises UserError with the folder or key and the remedy.
     """
     if not folder.is_dir():
-        raise UserError(f"dataset folder {folder} does not exist; pass an existing one with --config dataset=DIR")
+        what = "is a file" if folder.exists() else "does not exist"
+        raise UserError(f"dataset folder {folder} {what}; pass an existing folder with --config dataset=DIR")
     try:
         return _opened(folder, read_description(folder, capture_yaml))
     except OSError as error:
@@ -80,6 +81,8 @@ def _opened(folder: Path, description: dict[str, Any]) -> Dataset:
             )
     for camera, path in films.items():
         check_name(camera, f"camera {path[0]}", "rename the file or folder")
+        if camera == "manifest":
+            raise UserError(f"the camera {path[0]} has the name of a table of results; rename the file or folder")
     every = {camera: parts[0] for camera, parts in films.items()}
     starts = read_starts(description, every)
     footage, held_out = _chosen_footage(folder, every, description)

@@ -64,12 +64,17 @@ def unused_files(dataset: Dataset, place: Path, left_out: Iterable[str]) -> tupl
 
 def _left(folder: Path, used: set[Path], parents: set[Path]) -> Iterator[Path]:
     for path in sorted(folder.iterdir()):
-        if path in used or is_system_file(path) or _FOR_READERS.fullmatch(path.name):
+        if path in used or (is_system_file(path) and not _is_hidden_film(path)) or _FOR_READERS.fullmatch(path.name):
             continue
         if path in parents and not path.is_symlink():
             yield from _left(path, used, parents)
         elif path not in parents and not (folder.resolve() == Path.cwd() and path.name in _WORKFLOW_FOLDERS):
             yield path
+
+
+def _is_hidden_film(path: Path) -> bool:
+    """A film whose name begins with a dot, also as rsync names it while it copies (``.cam1.mp4.x7Qz2k``)."""
+    return path.name[:2] != "._" and path.is_file() and not film_suffixes().isdisjoint(map(str.lower, path.suffixes))
 
 
 def _count(path: Path) -> str:
@@ -106,10 +111,14 @@ def _reason(path: Path, dataset: Dataset, place: Path, left_out: set[str]) -> st
             return f"{_NO_NAME} ({first.name}); cameras are {', '.join(dataset.footage)}"
         return _reason_of_name(path, dataset) or _reason(first, dataset, place, left_out)
     suffix = path.suffix.lower()
+    if path.name.startswith("."):
+        return "a hidden or half-copied film; copy it again, or rename it"
     if is_preview(path):
         return "a camera's own preview or raw file; bring its .mp4"
     if suffix in film_suffixes():
         return f"films are taken from {place.name}/, one per camera; put it there"
+    if path.stem.casefold().partition(".")[0] == "capture" and suffix in (".yaml", ".yml", ".txt", ".json"):
+        return "a description is read from capture.yaml in the capture's own folder"
     return (
         _BY_SUFFIX.get(suffix)
         or _reason_of_name(path, dataset)

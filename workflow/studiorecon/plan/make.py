@@ -29,6 +29,8 @@ def make_plan(config: Mapping[str, Any], home: Path) -> Plan:
     sources = choose_person_sources(dataset, config)
     scene = compose_unicode(str(config["scene"]) or chosen.studio or dataset.folder.resolve().name)
     check_name(scene, "the scene", "name it with --config scene=NAME")
+    for shot in config["render"]["shots"]:
+        check_name(shot, "the film", "rename it in render.shots")
     if scene in _TAKEN:
         raise UserError(
             f"the scene is called {scene!r}, and results/{scene}/ holds what all scenes share; name it otherwise with "

@@ -112,6 +112,13 @@ def _precomputed(plan: Plan, config: Mapping[str, Any]) -> None:
         "masks": plan.people and config["masks"]["source"] == "precomputed",
         "depth": plan.networks.depth == "precomputed",
     }
+    for section in PRECOMPUTED:
+        key = {"views": "synthesizer", "enhance": "enhancer"}.get(section, "source")
+        if config[section]["precomputed"] and config[section][key] != "precomputed":
+            raise UserError(
+                f"{section}.precomputed is {config[section]['precomputed']!r}, but {section}.{key} is "
+                f"{config[section][key]}: set that to precomputed, or leave the folder out"
+            )
     has_own = {"detect": {}, "masks": plan.dataset.masks, "depth": plan.dataset.depth}
     for section in (name for name, requested in wanted.items() if requested):
         for camera in plan.training:

@@ -137,21 +137,7 @@ class Camera:
         return replace(self, wh=(int(wh[0]), int(wh[1])), intrinsics=scale @ self.intrinsics)
 
     def as_json(self) -> dict[str, Any]:
-        return {
-            "name": self.name,
-            "wh": list(self.wh),
-            "intrinsics": self.intrinsics,
-            "camera_from_world": self.camera_from_world,
-        }
-
-    @staticmethod
-    def from_json(value: dict[str, Any]) -> Camera:
-        return Camera(
-            name=str(value["name"]),
-            wh=(int(value["wh"][0]), int(value["wh"][1])),
-            intrinsics=np.asarray(value["intrinsics"], dtype=np.float64),
-            camera_from_world=np.asarray(value["camera_from_world"], dtype=np.float64),
-        )
+        return dict(vars(self))
 
 
 @dataclass(frozen=True)
@@ -194,30 +180,4 @@ class Lens:
         return bool(self.placed) or not np.array_equal(self.calibration_from_video, np.eye(2, 3))
 
     def as_json(self) -> dict[str, Any]:
-        return {
-            "name": self.name,
-            "wh": list(self.wh),
-            "intrinsics": self.intrinsics,
-            "model": self.model,
-            "distortion": self.distortion,
-            "camera_from_world": self.camera_from_world,
-            "calibration_from_video": self.calibration_from_video,
-            "placed": self.placed,
-            "keypoints_calibrated": self.keypoints_calibrated,
-            "keypoint_distortion": self.keypoint_distortion,
-        }
-
-    @staticmethod
-    def from_json(value: dict[str, Any]) -> Lens:
-        return Lens(
-            name=str(value["name"]),
-            wh=(int(value["wh"][0]), int(value["wh"][1])),
-            intrinsics=np.asarray(value["intrinsics"], dtype=np.float64),
-            model=str(value["model"]),
-            distortion=np.asarray(value["distortion"], dtype=np.float64).reshape(-1),
-            camera_from_world=np.asarray(value["camera_from_world"], dtype=np.float64),
-            calibration_from_video=np.asarray(value["calibration_from_video"], dtype=np.float64),
-            placed=str(value.get("placed", "")),
-            keypoints_calibrated=bool(value.get("keypoints_calibrated", False)),
-            keypoint_distortion=np.asarray(value.get("keypoint_distortion", []), dtype=np.float64).reshape(-1),
-        )
+        return dict(vars(self))

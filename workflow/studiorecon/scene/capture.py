@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from studiorecon.scene.files import write_json
-from studiorecon.scene.schema import ASCENDING, INTRINSIC, ListOf, flag, frame_rate, real, seconds, text, whole
+from studiorecon.scene.schema import ASCENDING, INTRINSIC, ListOf, flag, frame_rate, real, record, seconds, text, whole
 from studiorecon.scene.step_files import expect, expect_named, read
 
 _FPS = frame_rate()
@@ -134,7 +134,7 @@ def _manifest(value: dict[str, Any]) -> Manifest:
     footage = tuple(_footage(f) for f in value["footage"])
     names = [f.camera for f in footage]
     expect(len(set(names)) == len(names), f"of {len(names)} cameras two share a name")
-    made = Manifest(value["scene"], float(value["fps"]), int(value["frames"]), footage)
+    made = record(Manifest, {**value, "footage": list(footage)})
     for f in footage:
         expect(
             (f.frames, f.fps) == (made.frames, made.fps),
@@ -144,8 +144,7 @@ def _manifest(value: dict[str, Any]) -> Manifest:
 
 
 def _footage(value: dict[str, Any]) -> Footage:
-    listed = {name: tuple(value[name]) for name in ("wh", "source_wh", "source_frames")}
-    made = Footage(**{**value, **listed})
+    made = record(Footage, value)
     expect(
         len(made.source_frames) in (0, made.frames),
         f"source_frames has {len(made.source_frames)} numbers for {made.frames} frames",

@@ -4,9 +4,9 @@
 from __future__ import annotations
 
 import difflib
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 from studiorecon.errors import UserError
 from studiorecon.scene.names import fold_name
@@ -18,6 +18,8 @@ _KEYS = {
     "keypoint_layout", "keypoint_first_frame", "plates", "masks", "depth", "pixel_maps", "people", "identities",
     "focal_px", "height_m", "distance_m",
 }  # fmt: skip
+_SPELLINGS = ("capture.yaml", "capture.yml", "capture.yaml.txt")
+T = TypeVar("T")
 
 
 MAX_PEOPLE = 100
@@ -37,16 +39,11 @@ ABOUT_KEYPOINTS = ("keypoint_layout", "keypoint_first_frame")
 
 
 def description_path(folder: Path) -> Path:
-    """``capture.yaml`` in ``folder``, or the only file of that name in another spelling (``capture.yml``, ``.txt``)."""
-    usual = folder / "capture.yaml"
-    if usual.exists() or usual.is_symlink():
-        return usual
-    spelled = [
-        path
-        for path in folder.glob("[cC]*")
-        if path.name.casefold() in ("capture.yaml", "capture.yml", "capture.yaml.txt")
-    ]
-    return spelled[0] if len(spelled) == 1 else usual
+    """``capture.yaml`` in ``folder``, or the file of that name in another spelling (``capture.yml``, ``.txt``)."""
+    spelled = [path for path in folder.glob("[cC]*") if path.name.casefold() in _SPELLINGS]
+    if len(spelled) > 1:
+        raise UserError(f"{folder} has {' and '.join(sorted(path.name for path in spelled))}; keep one")
+    return spelled[0] if spelled else folder / "capture.yaml"
 
 
 def read_description(folder: Path, capture_yaml: Path | None) -> dict[str, Any]:
@@ -145,51 +142,45 @@ def frames_used(description: dict[str, Any]) -> tuple[int, int]:
     return first, count
 
 
+def _by_camera(
+    description: dict[str, Any], key: str, footage: Mapping[str, Path], read: Callable[[Any, str], T], form: str = ""
+) -> dict[str, T]:
+    """camera → its value under ``key``, by ``read``; without a ``form`` one value may stand for all cameras."""
+    given = description.get(key)
+    if given is not None and not isinstance(given, Mapping) and not form:
+        given = dict.fromkeys(footage, given)
+    found: dict[str, T] = {}
+    for camera, value in as_mapping(given, f"capture.yaml: {key}", form).items():
+        named = _check_named(camera, key, footage)
+        if named in found:
+            raise UserError(f"capture.yaml: {key} has camera {named} twice; keep one")
+        found[named] = read(value, f"capture.yaml: {key} of {camera}")
+    return found
+
+
 def read_starts(description: dict[str, Any], footage: Mapping[str, Path]) -> dict[str, float]:
     """camera → the frame of its footage that shows one common moment, 0 by default; empty without the key."""
-    given = as_mapping(
-        description.get("starts"),
-        "capture.yaml: starts",
-        "{cam02: 13}: the frame of cam02's video at which the others begin",
+    what = f"a number of frames of at most {_MAX_FRAMES}, such as 13 or 12.6"
+    form = "{cam02: 13}: the frame of cam02's video at which the others begin"
+    found = _by_camera(
+        description, "starts", footage, lambda value, at: number(value, at, -_MAX_FRAMES, _MAX_FRAMES, what), form
     )
-    found = dict.fromkeys(footage, 0.0)
-    for camera, value in given.items():
-        where = f"capture.yaml: starts of {camera}"
-        what = f"a number of frames of at most {_MAX_FRAMES}, such as 13 or 12.6"
-        found[_check_named(camera, "starts", footage)] = number(value, where, -_MAX_FRAMES, _MAX_FRAMES, what)
-    return found if given else {}
+    return dict.fromkeys(footage, 0.0) | found if found else {}
 
 
 def first_numbers(description: dict[str, Any], footage: Mapping[str, Path]) -> dict[str, int]:
     """camera → ``keypoint_first_frame``; a single number applies to all cameras."""
-    given = description.get("keypoint_first_frame")
-    if given is None:
-        return {}
-    table = given if isinstance(given, dict) else dict.fromkeys(footage, given)
-    return {
-        _check_named(camera, "keypoint_first_frame", footage): whole(
-            value, f"capture.yaml: keypoint_first_frame of {camera}", -_MAX_NUMBER, _MAX_NUMBER
-        )
-        for camera, value in table.items()
-    }
+    return _by_camera(
+        description, "keypoint_first_frame", footage, lambda value, at: whole(value, at, -_MAX_NUMBER, _MAX_NUMBER)
+    )
 
 
 def focal_lengths(description: dict[str, Any], footage: Mapping[str, Path]) -> dict[str, float]:
     """camera → ``focal_px``, in pixels of its footage; a single number applies to all cameras."""
-    given = description.get("focal_px")
-    if given is None:
-        return {}
-    table = given if isinstance(given, dict) else dict.fromkeys(footage, given)
-    return {
-        _check_named(camera, "focal_px", footage): number(
-            value,
-            f"capture.yaml: focal_px of {camera}",
-            MIN_FOCAL_PX,
-            MAX_FOCAL_PX,
-            f"a length in pixels above 0, of {MIN_FOCAL_PX:g} to {MAX_FOCAL_PX:g} (not millimetres)",
-        )
-        for camera, value in table.items()
-    }
+    what = f"a length in pixels above 0, of {MIN_FOCAL_PX:g} to {MAX_FOCAL_PX:g} (not millimetres)"
+    return _by_camera(
+        description, "focal_px", footage, lambda value, at: number(value, at, MIN_FOCAL_PX, MAX_FOCAL_PX, what)
+    )
 
 
 def measured_lengths(description: dict[str, Any], footage: Mapping[str, Path]) -> dict[str, Any]:
@@ -223,28 +214,15 @@ def measured_lengths(description: dict[str, Any], footage: Mapping[str, Path]) -
 
 def pixel_maps(description: dict[str, Any], footage: Mapping[str, Path]) -> dict[str, tuple[float, float, float]]:
     """camera → (scale, x, y) of ``pixel_maps``."""
-    maps = as_mapping(
-        description.get("pixel_maps"), "capture.yaml: pixel_maps", "{cam01: {scale: 0.99, offset: [0.0, 7.2]}}"
-    )
-    found = {}
-    for camera, entry in maps.items():
-        camera_name = _check_named(camera, "pixel_maps", footage)
-        where = f"capture.yaml: pixel_maps of {camera}"
-        example = f"{where} must have the form {{scale: 0.99, offset: [0.0, 7.2]}}"
-        if not isinstance(entry, dict) or set(entry) != {"scale", "offset"}:
-            raise UserError(example)
-        if not isinstance(entry["offset"], list) or len(entry["offset"]) != 2:
-            raise UserError(example)
-        scale = number(
-            entry["scale"],
-            f"{where}: scale",
-            MIN_PIXEL_SCALE,
-            MAX_PIXEL_SCALE,
-            f"pixels of the video per pixel of the calibration, {MIN_PIXEL_SCALE:g} to {MAX_PIXEL_SCALE:g}",
-        )
-        what = f"a number of pixels of at most {MAX_PIXEL_OFFSET:g}"
-        x, y = (
-            number(value, f"{where}: offset", -MAX_PIXEL_OFFSET, MAX_PIXEL_OFFSET, what) for value in entry["offset"]
-        )
-        found[camera_name] = (scale, x, y)
-    return found
+    return _by_camera(description, "pixel_maps", footage, _pixel_map, "{cam01: {scale: 0.99, offset: [0.0, 7.2]}}")
+
+
+def _pixel_map(entry: Any, where: str) -> tuple[float, float, float]:
+    offset = entry.get("offset") if isinstance(entry, dict) and set(entry) == {"scale", "offset"} else None
+    if not isinstance(offset, list) or len(offset) != 2:
+        raise UserError(f"{where} must have the form {{scale: 0.99, offset: [0.0, 7.2]}}")
+    what = f"pixels of the video per pixel of the calibration, {MIN_PIXEL_SCALE:g} to {MAX_PIXEL_SCALE:g}"
+    scale = number(entry["scale"], f"{where}: scale", MIN_PIXEL_SCALE, MAX_PIXEL_SCALE, what)
+    what = f"a number of pixels of at most {MAX_PIXEL_OFFSET:g}"
+    x, y = (number(value, f"{where}: offset", -MAX_PIXEL_OFFSET, MAX_PIXEL_OFFSET, what) for value in offset)
+    return scale, x, y

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from studiorecon.scene.files import write_json
-from studiorecon.scene.schema import ASCENDING, ListOf, MappingOf, frame_rate, real, seconds, text, whole
+from studiorecon.scene.schema import ASCENDING, ListOf, MappingOf, frame_rate, real, record, seconds, text, whole
 from studiorecon.scene.step_files import expect, read
 
 if TYPE_CHECKING:
@@ -157,8 +157,8 @@ def _finding(value: dict[str, Any]) -> ClockFinding:
 
 
 def _clocks(value: dict[str, Any]) -> Clocks:
-    cameras = tuple(Clock(**{**c, "times_s": tuple(c["times_s"])}) for c in value["cameras"])
+    cameras = [record(Clock, clock) for clock in value["cameras"]]
     for c in cameras:
         expect(len(c.times_s) in (0, c.frames), f"times_s of {c.camera} has {len(c.times_s)} of {c.frames} frames")
     expect(len({c.camera for c in cameras}) == len(cameras), "two cameras share a name")
-    return Clocks(float(value["fps"]), float(value["start_s"]), int(value["frames"]), cameras, value["refusal"])
+    return record(Clocks, {**value, "cameras": cameras})

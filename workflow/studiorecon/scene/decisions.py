@@ -10,7 +10,7 @@ from typing import Any, Literal, get_args
 
 from studiorecon.errors import UserError
 from studiorecon.scene.files import write_json
-from studiorecon.scene.schema import ASCENDING, Anything, ListOf, OptionalField, check, flag, real, text
+from studiorecon.scene.schema import ASCENDING, Anything, ListOf, OptionalField, check, flag, real, record, text
 from studiorecon.scene.step_files import expect, read
 
 Verdict = Literal["on", "off", "undetermined"]
@@ -113,4 +113,4 @@ def _decisions(value: Mapping[str, Any]) -> dict[str, Decision]:
 def from_entry(entry: Mapping[str, Any]) -> Decision:
     """A decision from its fields by name, as in JSON; raises ValueError with the name of a wrong field."""
     check(entry, _DECISION)
-    return Decision(**{**entry, "interval": tuple(entry["interval"]) if entry["interval"] is not None else None})
+    return record(Decision, entry)

@@ -3,19 +3,18 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import asdict, dataclass
+from functools import partial
 from pathlib import Path
-from typing import Any
 
 from studiorecon.scene.files import write_json
-from studiorecon.scene.schema import ListOf, OptionalField, real, text, whole
-from studiorecon.scene.step_files import expect, read
+from studiorecon.scene.schema import ArrayProperty, ListOf, OptionalField, real, record, text, whole
+from studiorecon.scene.step_files import read
 
 _SCHEMA = {
     "camera": text(),
     "wh": whole("2", low=0, unit="px"),
-    "pixel_map": OptionalField(real("N")),
+    "pixel_map": OptionalField(real("N", such=ArrayProperty("a scale, x and y", lambda map: len(map) in (0, 3)))),
     "refusal": OptionalField(text()),
     "notes": OptionalField(ListOf(text())),
 }
@@ -34,9 +33,9 @@ class KeypointVerdict:
 
     camera: str
     wh: tuple[int, int]
-    pixel_map: Sequence[float] = ()
+    pixel_map: tuple[float, ...] = ()
     refusal: str = ""
-    notes: Sequence[str] = ()
+    notes: tuple[str, ...] = ()
 
 
 def write_keypoint_verdict(path: Path, verdict: KeypointVerdict) -> None:
@@ -45,12 +44,4 @@ def write_keypoint_verdict(path: Path, verdict: KeypointVerdict) -> None:
 
 def read_keypoint_verdict(path: Path) -> KeypointVerdict:
     """A film's size and how its keypoints fit it; raises UserError as ``step_files.read`` does."""
-    return read(path, _SCHEMA, _verdict)
-
-
-def _verdict(value: dict[str, Any]) -> KeypointVerdict:
-    pixel_map = tuple(map(float, value.get("pixel_map") or ()))
-    expect(len(pixel_map) in (0, 3), f"pixel_map has {len(pixel_map)} numbers, expected a scale, x and y")
-    width, height = value["wh"]
-    sentences = value.get("refusal") or "", tuple(value.get("notes") or ())
-    return KeypointVerdict(value["camera"], (width, height), pixel_map, *sentences)
+    return read(path, _SCHEMA, partial(record, KeypointVerdict))

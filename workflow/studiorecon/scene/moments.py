@@ -21,7 +21,7 @@ def write_moments(path: Path, stretches: Mapping[str, Sequence[Stretch]]) -> Non
 
 def read_moments(path: Path, camera: str) -> list[Stretch]:
     """The stretches of one camera's film; raises UserError as ``step_files.read`` does."""
-    held = read(path, MappingOf(ListOf(whole("3", low=0))))
+    held: dict[str, list[Stretch]] = read(path, MappingOf(ListOf(whole("3", low=0))))
     return [(number, first, count) for number, first, count in held[camera]]
 
 

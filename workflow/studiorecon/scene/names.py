@@ -3,8 +3,10 @@
 
 from __future__ import annotations
 
+import os
 import re
 import unicodedata
+from collections.abc import Sequence
 from pathlib import Path
 
 from studiorecon.errors import UserError
@@ -12,6 +14,8 @@ from studiorecon.errors import UserError
 MAX_LETTERS = 100
 # Letters and digits of any script with single blanks and marks between them; browsers name a second download with (1).
 _NAME = re.compile(r"[\w(](?:[\w.+@()-]| (?! ))*(?<![ .])")
+# Snakemake takes a name that ends in twenty equal parts for a rule that feeds itself, and stops.
+_REPEATED = re.compile(r"(.+)\1{19}$")
 # Characters with a meaning in Snakemake's rules.
 _NOT_IN_PATHS = "{}\n\r"
 _OF_THE_SYSTEM = {"thumbs.db", "desktop.ini", "__macosx", "lost+found", "system volume information", "ehthumbs.db"}
@@ -25,7 +29,16 @@ def check_name(name: str, what: str, remedy: str) -> str:
             f"the name {name!r} of {what} cannot be used: letters, digits, single spaces and . _ - + @ ( ) are "
             f"allowed, starting with a letter or digit, {MAX_LETTERS} characters at most; {remedy}"
         )
+    if found := _REPEATED.search(name):
+        raise UserError(
+            f"the name {name!r} of {what} cannot be used: it repeats {found[1]!r} twenty times or more; {remedy}"
+        )
     return name
+
+
+def as_paths(arguments: Sequence[str]) -> list[str]:
+    """Arguments of a program in which a file or folder called ``-rf`` is called ``./-rf``, which is no option."""
+    return [f"./{word}" if word[:1] == "-" != word and os.path.exists(word) else word for word in arguments]
 
 
 def check_path(path: Path) -> Path:

@@ -8,6 +8,7 @@ from collections.abc import Sequence
 from itertools import islice, pairwise
 from pathlib import Path
 
+from studiorecon.errors import UserError
 from studiorecon.scene.dataset import PICTURE_SUFFIXES
 
 _MAX_NAMED = 3
@@ -20,9 +21,13 @@ def natural_sort_key(name: str) -> list[tuple[int, str]]:
 
 
 def pictures_in(folder: Path) -> list[Path]:
-    """The pictures of a folder in the order of their numbers, without hidden files."""
-    found = (p for p in folder.iterdir() if p.suffix.lower() in PICTURE_SUFFIXES and not p.name.startswith("."))
-    return sorted(found, key=lambda path: (natural_sort_key(path.stem), path.name))
+    """The pictures of a folder in the order of their numbers, without hidden files; UserError for two of one number."""
+    named = (p for p in folder.iterdir() if p.suffix.lower() in PICTURE_SUFFIXES and not p.name.startswith("."))
+    found = sorted(named, key=lambda path: (natural_sort_key(path.stem), path.name))
+    for one, two in pairwise(found):
+        if natural_sort_key(one.stem) == natural_sort_key(two.stem):
+            raise UserError(f"{folder} has {one.name} and {two.name} for one picture; keep one")
+    return found
 
 
 def missing_numbers(files: Sequence[Path]) -> list[int]:

@@ -5,10 +5,11 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 from studiorecon.scene.camera import CAMERA, Camera
 from studiorecon.scene.files import write_json
-from studiorecon.scene.schema import ListOf, frame_rate, real, text
+from studiorecon.scene.schema import ListOf, frame_rate, real, record, text
 from studiorecon.scene.step_files import read
 
 _PATH = {
@@ -41,6 +42,6 @@ def write_path(path: Path, steps: list[PathStep], fps: float) -> None:
 
 def read_path(path: Path) -> tuple[list[PathStep], float]:
     """The steps and the frame rate of a path file; raises UserError as ``step_files.read`` does."""
-    value = read(path, _PATH)
-    steps = [PathStep(Camera.from_json(s["camera"]), float(s["frame"]), s["segment"]) for s in value["steps"]]
+    value: dict[str, Any] = read(path, _PATH)
+    steps = [PathStep(record(Camera, s["camera"]), float(s["frame"]), s["segment"]) for s in value["steps"]]
     return steps, float(value["fps"])

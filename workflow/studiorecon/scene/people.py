@@ -13,7 +13,7 @@ import numpy as np
 
 from studiorecon.errors import UserError
 from studiorecon.scene.files import write_npz, write_table
-from studiorecon.scene.schema import CONFIDENT, ListOf, OptionalField, metres, radians, real, text, whole
+from studiorecon.scene.schema import CONFIDENT, ListOf, OptionalField, metres, radians, real, record, text, whole
 from studiorecon.scene.step_files import expect, expect_named, read
 from studiorecon.scene.user_files import read_rows
 from studiorecon.scene.user_values import short_text
@@ -147,7 +147,7 @@ def read_detections(path: Path) -> Detections:
 
     def made(data: dict[str, Any]) -> Detections:
         expect_named(path, str(data["camera"]))
-        return Detections(**{**data, "camera": str(data["camera"]), "layout": str(data["layout"])})
+        return record(Detections, data)
 
     return read(path, _DETECTIONS, made)
 
@@ -252,4 +252,6 @@ def read_given_identities(path: Path) -> dict[tuple[str, int], str]:
             )
         if found.setdefault((camera, number), person) != person:
             raise UserError(f"{path}, line {line}: track {track} of camera {camera} is two people; keep one line")
+    if not found:
+        raise UserError(f"{path} names no track; start from people/identities.tsv, or take the file away")
     return found

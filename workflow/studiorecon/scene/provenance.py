@@ -4,7 +4,7 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -35,5 +35,5 @@ def write_provenance(path: Path, marks: Integer[np.ndarray, " N"]) -> None:
 
 def read_provenance(path: Path, count: int) -> Integer[np.ndarray, " N"]:
     """Marks of ``count`` Gaussians; raises UserError as ``step_files.read`` does, also for another number of marks."""
-    held = read(path, {"provenance": provenance_schema("N")}, sizes={"N": count})
+    held: dict[str, Any] = read(path, {"provenance": provenance_schema("N")}, sizes={"N": count})
     return np.asarray(held["provenance"], np.uint8)

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from studiorecon.scene.files import write_npz
-from studiorecon.scene.schema import CONFIDENT, OptionalField, metres, real, text, whole
+from studiorecon.scene.schema import CONFIDENT, OptionalField, metres, real, record, text, whole
 from studiorecon.scene.step_files import read
 
 if TYPE_CHECKING:
@@ -124,8 +124,7 @@ def read_raw_detections(path: Path, masks: bool = False) -> RawDetections:
 
     def made(data: dict[str, Any]) -> RawDetections:
         looked = [(int(first), int(count)) for first, count in data["looked"]]
-        texts = {name: str(data[name]) for name in ("camera", "layout", "note")}
         empty = {} if masks else {"mask": np.zeros((len(data["frame"]), 0, 0), np.uint8)}
-        return RawDetections(**{**data, **empty, **texts, "looked": looked, "turns": int(data["turns"])})
+        return record(RawDetections, {**data, **empty, "looked": looked})
 
     return read(path, _FOUND, made, but=() if masks else ("mask",))

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from studiorecon.scene.files import write_npz
-from studiorecon.scene.schema import flag, real, text, whole
+from studiorecon.scene.schema import flag, real, record, text, whole
 from studiorecon.scene.step_files import expect, read
 
 if TYPE_CHECKING:
@@ -81,7 +81,6 @@ def read_recorded(path: Path) -> RecordedKeypoints:
 
     def made(data: dict[str, Any]) -> RecordedKeypoints:
         expect(np.isin(data["frame"], data["pictures"]).all(), "frame names a picture that is not among pictures")
-        words = {name: str(data[name]) for name in ("program", "layout", "refusal")}
-        return RecordedKeypoints(**{**data, **words, "counted": bool(data["counted"])})
+        return record(RecordedKeypoints, data)
 
     return read(path, _RECORDED, made)

@@ -8,6 +8,7 @@ from collections.abc import Iterable
 from pathlib import Path
 
 from studiorecon.errors import UserError
+from studiorecon.scene.names import check_name
 
 _PHOTOS = (".png", ".jpg", ".jpeg")
 _PLAIN = re.compile(r"[A-Za-z0-9_-]+")
@@ -26,7 +27,7 @@ def stranger_name(photo: str) -> str:
             f"replace names {photo}, whose name becomes part of file names: rename it so that only letters, digits, _ "
             "and - come before its suffix"
         )
-    return f"stranger_{stem}"
+    return check_name(f"stranger_{stem}", f"the person in {photo}", "rename the photo")
 
 
 def photos_of_strangers(sources: Iterable[str]) -> dict[str, str]:

@@ -10,14 +10,15 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
-from typing import Any
+from dataclasses import dataclass, fields
+from typing import Any, TypeVar
 
 import numpy as np
 
 from studiorecon.arrays import require
 from studiorecon.scene.user_values import short_text
 
+T = TypeVar("T")
 LARGEST = 1e9
 """No step writes a larger number."""
 # No scene reaches 100 km, even where a calibration's lengths are millimetres; no capture lasts twelve days; no rotation
@@ -177,6 +178,24 @@ CONFIDENT = ArrayProperty(
         (np.abs(keypoints[..., 2] - 0.5) <= 0.5).all() and np.isfinite(keypoints[keypoints[..., 2] > 0]).all()
     ),
 )
+
+
+def record(kind: type[T], value: Mapping[str, Any]) -> T:
+    """The dataclass that a file holds: lists become arrays or tuples as it annotates them, an npz's single values
+    Python's; what is missing has its default."""
+    made: dict[str, Any] = {}
+    for field in fields(kind):  # type: ignore[arg-type]
+        annotated = str(field.type)
+        held: Any = value.get(field.name)
+        if field.name not in value or (held is None and "None" not in annotated):
+            continue
+        if isinstance(held, list):
+            held = np.array(held, np.float64) if "np.ndarray" in annotated else held
+            held = tuple(held) if annotated.startswith("tuple") else held
+        elif isinstance(held, np.ndarray) and not held.shape:
+            held = held.item()
+        made[field.name] = float(held) if annotated == "float" else held
+    return kind(**made)
 
 
 def check(value: Any, schema: Schema, name: str = "", sizes: Mapping[str, int] | None = None) -> None:

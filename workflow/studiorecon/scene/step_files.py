@@ -12,7 +12,7 @@ import io
 from collections.abc import Callable, Container, Iterable, Iterator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, TypeVar, overload
+from typing import TYPE_CHECKING, Any, TypeVar
 
 from studiorecon.errors import UserError
 from studiorecon.scene import user_files
@@ -24,38 +24,19 @@ if TYPE_CHECKING:
 
 T = TypeVar("T")
 
+_AS_IT_IS: Callable[[Any], Any] = lambda values: values  # noqa: E731 (a name for a default)
 CURE = "delete it, and the next run makes it again"
 
 
-@overload
 def read(
     path: Path,
     schema: Schema,
-    made: None = None,
+    made: Callable[[Any], T] = _AS_IT_IS,
     *,
     names: Iterable[str] | None = None,
     but: Container[str] = (),
     sizes: Mapping[str, int] | None = None,
-) -> Any: ...
-@overload
-def read(
-    path: Path,
-    schema: Schema,
-    made: Callable[[Any], T],
-    *,
-    names: Iterable[str] | None = None,
-    but: Container[str] = (),
-    sizes: Mapping[str, int] | None = None,
-) -> T: ...
-def read(
-    path: Path,
-    schema: Schema,
-    made: Callable[[Any], Any] | None = None,
-    *,
-    names: Iterable[str] | None = None,
-    but: Container[str] = (),
-    sizes: Mapping[str, int] | None = None,
-) -> Any:
+) -> T:
     """The values of a JSON file, the arrays of an npz or the rows of a table, or the result of ``made`` on them.
 
     An error that ``made`` raises counts as damage of the file. ``names``: of an npz, only these arrays; ``but``: all
@@ -69,7 +50,7 @@ def read(
         else:
             values = user_files.read_json(path, remedy=CURE)
         check(values, schema, sizes=sizes)
-        return values if made is None else made(values)
+        return made(values)
 
 
 def _rows(path: Path, schema: Schema) -> list[dict[str, Any]]:

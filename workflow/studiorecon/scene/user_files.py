@@ -349,5 +349,5 @@ def _check_unique_keys(node: Any) -> None:
 
 def first_line(error: BaseException) -> str:
     """A library's message on a damaged file, shortened to one line: some repeat the file's contents."""
-    line = next(iter(str(error).splitlines()), "") or type(error).__name__
+    line = next(iter(str(error).partition("; use sys.")[0].splitlines()), "") or type(error).__name__
     return line if len(line) <= _MAX_REPEATED else line[: _MAX_REPEATED - 1] + "…"

@@ -187,7 +187,8 @@ def write_objects(path: Path, objects: Sequence[RigidObject], frames: int) -> No
 
 def read_objects(path: Path) -> list[RigidObject]:
     """The objects of a scene; raises UserError as ``step_files.read`` does."""
-    names = [str(name) for name in read(path, {"names": ListOf(text())}, names=("names",))["names"]]
+    named: dict[str, Any] = read(path, {"names": ListOf(text())}, names=("names",))
+    names = [str(name) for name in named["names"]]
     schema: dict[str, Schema] = {"names": ListOf(text()), "frames": whole(low=1)}
     for name in names:
         schema |= {f"{name}.{field}": kind for field, kind in _object_schema(name).items()}

@@ -17,6 +17,7 @@ import yaml
 
 from studiorecon.errors import UserError
 from studiorecon.scene.files import read_table
+from studiorecon.scene.names import check_name
 
 COLUMNS = ("name", "parameter", "preset", "settings")
 BASE = "base"
@@ -39,6 +40,7 @@ def read_rows(path: Path) -> list[Row]:
         where, name = f"row {number} of {path}", cells["name"] or ""
         if not re.fullmatch(r"[\w.+-]+", name, re.ASCII):
             raise UserError(f"{where} has the name {name!r}; it becomes a folder's name: use letters, digits, - _ . +")
+        check_name(name, where, "give it another")
         if name in [row.name for row in rows]:
             raise UserError(f"{where} repeats the name {name}; give every configuration a name of its own")
         settings = parse_settings(cells["settings"] or "", where)

@@ -46,10 +46,10 @@ def read(files: list[Path]) -> Reading:
     poses = {str(p["poseId"]): p["pose"]["transform"] for p in content.get("poses", ())}
     intrinsics = {str(i["intrinsicId"]): i for i in content.get("intrinsics", ())}
     views = content.get("views", ())
-    folders = {PurePosixPath(v["path"]).parent for v in views}
+    pictures = [PurePosixPath(view["path"].replace("\\", "/")) for view in views]
+    folders = {picture.parent for picture in pictures}
     cameras, left_out = [], []
-    for view in views:
-        picture = PurePosixPath(view["path"].replace("\\", "/"))
+    for view, picture in zip(views, pictures):
         name = picture.parent.name if len(folders) > 1 else picture.stem
         where = f"camera {name} in {path}"
         if "rigId" in view:

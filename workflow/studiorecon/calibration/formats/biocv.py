@@ -13,7 +13,7 @@ import numpy as np
 
 from studiorecon.calibration.formats.reading import CalibrationFormat, Reading
 from studiorecon.camera_files.lens_kinds import coefficients
-from studiorecon.camera_files.raw_camera import RawCamera, rigid_camera_from_world, unadjusted_intrinsics
+from studiorecon.camera_files.raw_camera import RawCamera, pose_rows, rigid_camera_from_world, unadjusted_intrinsics
 from studiorecon.errors import UserError
 from studiorecon.footage.kinds import film_suffixes
 from studiorecon.scene.user_files import read_text
@@ -52,7 +52,7 @@ def _camera(path: Path) -> RawCamera:
             "of K, "
             "the rows of a 4×4 pose and one of distortion"
         )
-    pose = np.array(rows[5:8])
+    pose = pose_rows(np.array(rows[5:-1]), where)
     return RawCamera(
         name=name,
         wh=(round(rows[0][0]), round(rows[1][0])),

@@ -12,6 +12,7 @@ from studiorecon.calibration.formats.reading import CalibrationFormat, Reading
 from studiorecon.camera_files.raw_camera import RawCamera, camera_from_world_of_pose, intrinsics_matrix
 from studiorecon.errors import UserError
 from studiorecon.scene.user_files import read_npy
+from studiorecon.scene.user_values import numbers
 
 
 def recognises(files: list[Path]) -> bool:
@@ -21,11 +22,11 @@ def recognises(files: list[Path]) -> bool:
 def read(files: list[Path]) -> Reading:
     """One camera per row, in the order of the sorted videos; focal length f for both axes, centre in the middle."""
     path = files[0]
-    table = read_npy(path)
+    table = numbers(read_npy(path), str(path), finite=False)
     if table.ndim != 2 or table.shape[1] != 17:
         raise UserError(f"{path} is {table.shape}; LLFF has 17 numbers per camera")
     cameras = []
-    for index, row in enumerate(np.asarray(table, dtype=np.float64)):
+    for index, row in enumerate(table):
         block = row[:15].reshape(3, 5)
         height, width, focal = block[:, 4]
         if height % 1 or width % 1:

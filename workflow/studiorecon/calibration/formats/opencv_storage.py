@@ -22,6 +22,7 @@ from studiorecon.camera_files.raw_camera import (
     RawCamera,
     camera_from_world_of_pose,
     finite_vector,
+    pose_rows,
     rigid_camera_from_world,
     rotation_from_file,
     unadjusted_intrinsics,
@@ -174,10 +175,7 @@ def _pose(held: Mapping[str, Any], where: str) -> np.ndarray:
             rotation, finite_vector(held["translation"], f"{where}: its translation"), where
         )[0]
     kind = "camera_from_world" if "camera_from_world" in held else "world_from_camera"
-    block = numbers(held[kind], f"{where}: its pose")
-    if block.size not in (12, 16):
-        raise UserError(f"{where}: its pose holds {block.size} numbers; it must be 3×4 or 4×4")
-    block = block.reshape(-1, 4)[:3]
+    block = pose_rows(numbers(held[kind], f"{where}: its pose"), where)
     if kind == "world_from_camera":
         return camera_from_world_of_pose(block, where)
     return rigid_camera_from_world(block[:, :3], block[:, 3], where)[0]

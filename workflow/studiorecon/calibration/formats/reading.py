@@ -14,7 +14,7 @@ import numpy as np
 from studiorecon.camera_files.raw_camera import RawCamera
 from studiorecon.errors import UserError
 from studiorecon.scene.files import write_json
-from studiorecon.scene.schema import RIGID, ListOf, flag, real, text, whole
+from studiorecon.scene.schema import RIGID, ListOf, flag, real, record, text, whole
 from studiorecon.scene.step_files import read
 
 # A static camera's poses of several pictures differ by what bundle adjustment leaves: less than this share of the
@@ -72,8 +72,8 @@ def read_reading(path: Path) -> tuple[Reading, str]:
     """What was read of a calibration, and the name of its file; raises UserError as ``step_files.read`` does."""
 
     def made(value: dict[str, Any]) -> tuple[Reading, str]:
-        source, cameras, notes = value.pop("source"), map(RawCamera.from_json, value["cameras"]), tuple(value["notes"])
-        return Reading(**{**value, "cameras": tuple(cameras), "notes": notes}), source
+        cameras = [record(RawCamera, camera) for camera in value["cameras"]]
+        return record(Reading, {**value, "cameras": cameras}), value["source"]
 
     return read(path, _READING, made)
 

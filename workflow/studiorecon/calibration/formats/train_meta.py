@@ -9,10 +9,10 @@ from pathlib import Path, PurePosixPath
 import numpy as np
 
 from studiorecon.calibration.formats.reading import CalibrationFormat, Reading, merged_static
-from studiorecon.camera_files.raw_camera import RawCamera, rigid_camera_from_world, unadjusted_intrinsics
+from studiorecon.camera_files.raw_camera import RawCamera, pose_rows, rigid_camera_from_world, unadjusted_intrinsics
 from studiorecon.errors import UserError
 from studiorecon.scene.user_files import read_json
-from studiorecon.scene.user_values import as_mapping
+from studiorecon.scene.user_values import as_mapping, numbers
 
 
 def recognises(files: list[Path]) -> bool:
@@ -34,8 +34,8 @@ def read(files: list[Path]) -> Reading:
     for t, (matrices, poses) in enumerate(zip(content["k"], content["w2c"], strict=True)):
         for index, (k, pose) in enumerate(zip(matrices, poses, strict=True)):
             name = PurePosixPath(content["fn"][t][index]).parent.name if "fn" in content else str(index)
-            block = np.asarray(pose, dtype=np.float64)[:3]
             where = f"camera {name} at time {t} in {path}"
+            block = pose_rows(numbers(pose, f"{where}: its w2c"), where)
             if inverted:
                 block = np.linalg.inv(np.vstack([block, [0, 0, 0, 1]]))[:3]
             height, width = content["hw"][index] if "hw" in content else (content["h"], content["w"])

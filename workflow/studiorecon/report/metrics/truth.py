@@ -11,7 +11,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import cv2
 import numpy as np
@@ -22,7 +22,7 @@ from studiorecon.footage.exr import read_depth
 from studiorecon.footage.video import read_frames
 from studiorecon.images.warp import nearest_pixels, sample
 from studiorecon.scene.camera import CAMERA, Camera
-from studiorecon.scene.schema import ListOf
+from studiorecon.scene.schema import ListOf, record
 from studiorecon.scene.step_files import read
 
 if TYPE_CHECKING:
@@ -42,7 +42,8 @@ class TrueView:
 
 def read_views(folder: Path) -> dict[str, TrueView]:
     """camera → truth, of every camera of the studio."""
-    cameras = [Camera.from_json(value) for value in read(folder / "cameras.json", ListOf(CAMERA))]
+    values: list[dict[str, Any]] = read(folder / "cameras.json", ListOf(CAMERA))
+    cameras = [record(Camera, value) for value in values]
     return {
         c.name: TrueView(c, read_depth(folder / "depth" / f"{c.name}.exr")[0], folder / "masks" / f"{c.name}.mkv")
         for c in cameras
