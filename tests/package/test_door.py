@@ -17,6 +17,7 @@ from studiorecon.detect import chapters
 from studiorecon.errors import UserError
 from studiorecon.machine.crash_report import FAULTS
 from studiorecon.progress import say
+from studiorecon.scene.names import as_paths
 from studiorecon.scene.user_files import not_permitted
 
 OVERLAYS = {
@@ -158,3 +159,13 @@ def test_names_of_files_cannot_change_a_sentence(name: str, capsys: pytest.Captu
     assert refusal.endswith(".mp4 × 2 cannot be read")
     say(f"{name}.mp4")
     assert capsys.readouterr().out.count("\n") == 1
+
+
+def test_a_folder_called_as_an_option_is_a_folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    (tmp_path / "-rf/videos").mkdir(parents=True)
+    monkeypatch.chdir(tmp_path)
+    assert as_paths(["-rf", "-n", "-", "-rf/videos", "videos"]) == ["./-rf", "-n", "-", "./-rf/videos", "videos"]
+
+    def run(film: Path) -> None: ...
+
+    assert steps._parse("clocks.moments", run, ["--film", "-rf/videos"])["film"] == Path("-rf/videos")

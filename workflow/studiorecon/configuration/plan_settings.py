@@ -41,21 +41,14 @@ class General:
         unit="min",
         minimum=0,
     )
-    strict: bool = setting(
-        False,
-        "Fail at the end if any step warned; all results are made.",
-    )
+    strict: bool = setting(False, "Fail at the end if any step warned; all results are made.")
     sweep: str = setting("config/sweeps/one_at_a_time.tsv", "Table of configurations for `snakemake sweep`.")
     sweep_minutes: float = setting(60.0, "Time limit of one configuration of a sweep.", unit="min", above=0)
     weights: str = setting("resources/weights", "Folder of the optional networks' weights.")
     licences: Literal["any", "commercial"] = setting(
-        "any",
-        "Licences that may be used; commercial refuses research-only networks and names a substitute.",
+        "any", "Licences that may be used; commercial refuses research-only networks and names a substitute."
     )
-    images: str = setting(
-        "resources/images",
-        "Folder of the container images of `snakemake images`.",
-    )
+    images: str = setting("resources/images", "Folder of the container images of `snakemake images`.")
 
 
 @dataclass(frozen=True)
@@ -84,8 +77,7 @@ class People:
     """The user's own table of identities."""
 
     identities: str = setting(
-        "",
-        "Corrected copy of people/identities.tsv; empty = the dataset's identities.tsv, if any.",
+        "", "Corrected copy of people/identities.tsv; empty = the dataset's identities.tsv, if any."
     )
 
 
@@ -106,8 +98,7 @@ class Masks:
     """The path of masks from other tools."""
 
     precomputed: str = setting(
-        "",
-        "Folder with <camera>.mkv, .mp4 or <camera>/ (pictures): 0 = background, else one number per person.",
+        "", "Folder with <camera>.mkv, .mp4 or <camera>/ (pictures): 0 = background, else one number per person."
     )
 
 

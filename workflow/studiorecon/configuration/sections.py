@@ -88,20 +88,12 @@ SECTIONS: tuple[Section, ...] = (
             "depth.room:Settings",
         ),
     ),
-    Section(
-        "survey",
-        "Effects that the scene calls for.",
-        ("survey.effects:EffectSettings",),
-    ),
+    Section("survey", "Effects that the scene calls for.", ("survey.effects:EffectSettings",)),
     Section("objects", "Moving objects that are not people.", ("objects.find:Settings",)),
     Section(
         "masks",
         "Masks of people in the training pictures.",
-        (
-            "masks.network:Settings",
-            "configuration.plan_settings:Masks",
-            "masks.segment:Settings",
-        ),
+        ("masks.network:Settings", "configuration.plan_settings:Masks", "masks.segment:Settings"),
     ),
     Section(
         "views",
@@ -138,14 +130,7 @@ SECTIONS: tuple[Section, ...] = (
         ),
     ),
     Section("deliver", "Files for other programs.", ("deliver.export:Settings",)),
-    Section(
-        "report",
-        "Contents and measures of the report.",
-        (
-            "report.page:Settings",
-            "report.evaluate:Settings",
-        ),
-    ),
+    Section("report", "Contents and measures of the report.", ("report.page:Settings", "report.evaluate:Settings")),
 )
 
 

@@ -39,8 +39,7 @@ class Settings(DetectionLimits):
     """
 
     keypoint_pixels: Literal["auto", "video", "calibration"] = setting(
-        "auto",
-        "Picture of the keypoint coordinates; auto = the one that people fit.",
+        "auto", "Picture of the keypoint coordinates; auto = the one that people fit."
     )
     keypoint_centres: float = 0.0
     tracking: TrackingLimits = TrackingLimits()

@@ -39,15 +39,9 @@ _COCO17 = (
 )  # fmt: skip
 _FEET = ("left_big_toe", "left_small_toe", "left_heel", "right_big_toe", "right_small_toe", "right_heel")
 _RIGHT_ARM_LEFT_ARM = (
-    "nose",
-    "neck",
-    "right_shoulder",
-    "right_elbow",
-    "right_wrist",
-    "left_shoulder",
-    "left_elbow",
-    "left_wrist",
-)
+    "nose", "neck", "right_shoulder", "right_elbow", "right_wrist", "left_shoulder", "left_elbow", "left_wrist",
+)  # fmt: skip
+_LEGS = ("right_hip", "right_knee", "right_ankle", "left_hip", "left_knee", "left_ankle")
 _EYES_EARS = ("right_eye", "left_eye", "right_ear", "left_ear")
 
 
@@ -55,41 +49,13 @@ def _numbered(part: str, count: int) -> tuple[str, ...]:
     return tuple(f"{part}_{i}" for i in range(count))
 
 
-_COCO18 = (
-    *_RIGHT_ARM_LEFT_ARM,
-    "right_hip",
-    "right_knee",
-    "right_ankle",
-    "left_hip",
-    "left_knee",
-    "left_ankle",
-    *_EYES_EARS,
-)
-_BODY_25 = (
-    *_RIGHT_ARM_LEFT_ARM,
-    "mid_hip",
-    "right_hip",
-    "right_knee",
-    "right_ankle",
-    "left_hip",
-    "left_knee",
-    "left_ankle",
-    *_EYES_EARS,
-    *_FEET,
-)
+_COCO18 = (*_RIGHT_ARM_LEFT_ARM, *_LEGS, *_EYES_EARS)
+_BODY_25 = (*_RIGHT_ARM_LEFT_ARM, "mid_hip", *_LEGS, *_EYES_EARS, *_FEET)
 _BODY_25B = (*_COCO17, "upper_neck", "head_top", *_FEET)
 _HALPE26 = (
-    *_COCO17,
-    "head_top",
-    "neck",
-    "mid_hip",
-    "left_big_toe",
-    "right_big_toe",
-    "left_small_toe",
-    "right_small_toe",
-    "left_heel",
-    "right_heel",
-)
+    *_COCO17, "head_top", "neck", "mid_hip", "left_big_toe", "right_big_toe", "left_small_toe", "right_small_toe",
+    "left_heel", "right_heel",
+)  # fmt: skip
 _HANDS = (*_numbered("left_hand", 21), *_numbered("right_hand", 21))
 WITH_HANDS = "_hands"
 """Ending of the name of a layout that continues another with the points of both hands."""
@@ -111,44 +77,42 @@ _BLAZEPOSE33 = (
     "right_index_finger", "left_thumb", "right_thumb", "left_hip", "right_hip", "left_knee", "right_knee",
     "left_ankle", "right_ankle", "left_heel", "right_heel", "left_big_toe", "right_big_toe",
 )  # fmt: skip
-_NAMES = {
-    "blazepose33": _BLAZEPOSE33,
-    "coco17": _COCO17,
-    "human36m17": _HUMAN36M17,
-    "mpii16": _MPII16,
-    "openpose_coco18": _COCO18,
-    "body_25": _BODY_25,
-    "body_25b": _BODY_25B,
-    "halpe26": _HALPE26,
-    f"blazepose33{WITH_HANDS}": (*_BLAZEPOSE33, *_HANDS),
-    f"coco17{WITH_HANDS}": (*_COCO17, *_HANDS),
-    f"openpose_coco18{WITH_HANDS}": (*_COCO18, *_HANDS),
-    f"body_25{WITH_HANDS}": (*_BODY_25, *_HANDS),
-    f"body_25b{WITH_HANDS}": (*_BODY_25B, *_HANDS),
-    "wholebody133": (
-        *_COCO17,
-        *_FEET,
-        *_numbered("face", 68),
-        *_HANDS,
+# Layout → its keypoints, and the names that programs use for it.
+_LISTED: dict[str, tuple[tuple[str, ...], str]] = {
+    "blazepose33": (_BLAZEPOSE33, "MediaPipe Pose, BlazePose"),
+    "coco17": (_COCO17, "COCO, RTMPose, ViTPose, AlphaPose"),
+    "human36m17": (_HUMAN36M17, "Human3.6M, VideoPose3D, MotionBERT"),
+    "mpii16": (_MPII16, "MPII, Stacked Hourglass"),
+    "openpose_coco18": (_COCO18, "OpenPose COCO"),
+    "body_25": (_BODY_25, "OpenPose BODY_25"),
+    "body_25b": (_BODY_25B, "OpenPose BODY_25B"),
+    "halpe26": (_HALPE26, "Halpe, RTMPose with feet"),
+    f"blazepose33{WITH_HANDS}": ((*_BLAZEPOSE33, *_HANDS), "this project, with fingers"),
+    f"coco17{WITH_HANDS}": ((*_COCO17, *_HANDS), "COCO with both hands"),
+    f"openpose_coco18{WITH_HANDS}": ((*_COCO18, *_HANDS), "OpenPose COCO with `--hand`"),
+    f"body_25{WITH_HANDS}": ((*_BODY_25, *_HANDS), "OpenPose BODY_25 with `--hand`"),
+    f"body_25b{WITH_HANDS}": ((*_BODY_25B, *_HANDS), "OpenPose BODY_25B with `--hand`"),
+    "wholebody133": ((*_COCO17, *_FEET, *_numbered("face", 68), *_HANDS), "COCO-WholeBody, RTMW"),
+    "body_135": (
+        (*_BODY_25B, *_numbered("left_hand", 20), *_numbered("right_hand", 20), *_numbered("face", 70)),
+        "OpenPose BODY_135",
     ),
-    "body_135": (*_BODY_25B, *_numbered("left_hand", 20), *_numbered("right_hand", 20), *_numbered("face", 70)),
-    "halpe136": (*_HALPE26, *_numbered("face", 68), *_HANDS),
-    "smpl24": tuple(f"{n}_joint" for n in JOINT_NAMES),
-    # CoMotion's 2D points: projections of its own 3D body, hence the monocular prior and not image evidence (
-    # U33).
-    "comotion27": (*(f"{n}_joint" for n in JOINT_NAMES[:22]), "nose", "right_eye", "left_eye", "right_ear", "left_ear"),
+    "halpe136": ((*_HALPE26, *_numbered("face", 68), *_HANDS), "Halpe with face and hands"),
+    "smpl24": (tuple(f"{n}_joint" for n in JOINT_NAMES), "SMPL's joints"),
+    # CoMotion's 2D points: projections of its own 3D body, hence the monocular prior and not image evidence (U33).
+    "comotion27": (
+        (*(f"{n}_joint" for n in JOINT_NAMES[:22]), "nose", "right_eye", "left_eye", "right_ear", "left_ear"),
+        "CoMotion",
+    ),
 }
 _LIMBS = (
     ("shoulder", "elbow"), ("elbow", "wrist"), ("hip", "knee"), ("knee", "ankle"), ("shoulder", "hip"), ("eye", "ear"),
     ("ankle", "heel"), ("ankle", "big_toe"), ("big_toe", "small_toe"),
 )  # fmt: skip
 _ACROSS = (
-    ("left_shoulder", "right_shoulder"),
-    ("left_hip", "right_hip"),
-    ("nose", "left_eye"),
-    ("nose", "right_eye"),
+    ("left_shoulder", "right_shoulder"), ("left_hip", "right_hip"), ("nose", "left_eye"), ("nose", "right_eye"),
     ("nose", "neck"),
-)
+)  # fmt: skip
 # How far a detector's points are from the body's of the same name, in every direction and in all frames, metres (sigma;
 # "" = all others), where that matters. Measured with BlazePose on a real man and on the synthetic studio (``python -m
 # benchmarks.detector --parts landmarks``): its ear is in front of the ear, its toe the tip of the shoe.
@@ -187,42 +151,20 @@ def _layout(name: str, keypoints: tuple[str, ...]) -> Layout:
     return Layout(name, keypoints, pairs, tuple((at[a], at[b]) for a, b in named if a in at and b in at))
 
 
-LAYOUTS = {name: _layout(name, keypoints) for name, keypoints in _NAMES.items()}
+LAYOUTS = {name: _layout(name, keypoints) for name, (keypoints, _) in _LISTED.items()}
 
 # Number of keypoints → layouts with that many. 25 is ambiguous: OpenPose's default puts the right side first, BODY_25B
 # starts as COCO.
 BY_COUNT = {
-    count: tuple(n for n, names in _NAMES.items() if len(names) == count)
-    for count in sorted({len(names) for names in _NAMES.values()})
+    count: tuple(n for n, one in LAYOUTS.items() if len(one.keypoints) == count)
+    for count in sorted({len(one.keypoints) for one in LAYOUTS.values()})
 }
 
 USUAL = {17: "coco17"}
 """Number of keypoints → the layout that is meant unless whole people show another one."""
 
-# Names that programs use for them.
-_WRITTEN_BY = {
-    "blazepose33": "MediaPipe Pose, BlazePose",
-    "coco17": "COCO, RTMPose, ViTPose, AlphaPose",
-    "human36m17": "Human3.6M, VideoPose3D, MotionBERT",
-    "mpii16": "MPII, Stacked Hourglass",
-    "openpose_coco18": "OpenPose COCO",
-    "body_25": "OpenPose BODY_25",
-    "body_25b": "OpenPose BODY_25B",
-    "halpe26": "Halpe, RTMPose with feet",
-    "blazepose33_hands": "this project, with fingers",
-    "coco17_hands": "COCO with both hands",
-    "openpose_coco18_hands": "OpenPose COCO with `--hand`",
-    "body_25_hands": "OpenPose BODY_25 with `--hand`",
-    "body_25b_hands": "OpenPose BODY_25B with `--hand`",
-    "wholebody133": "COCO-WholeBody, RTMW",
-    "body_135": "OpenPose BODY_135",
-    "halpe136": "Halpe with face and hands",
-    "smpl24": "SMPL's joints",
-    "comotion27": "CoMotion",
-}
-
 
 def layouts_table() -> str:
     """The layouts as a table in Markdown."""
-    rows = [f"| `{name}` | {len(one.keypoints)} | {_WRITTEN_BY[name]} |" for name, one in LAYOUTS.items()]
+    rows = [f"| `{name}` | {len(one.keypoints)} | {_LISTED[name][1]} |" for name, one in LAYOUTS.items()]
     return "\n".join(["| `keypoint_layout` | points | of |", "|---|---|---|", *rows])

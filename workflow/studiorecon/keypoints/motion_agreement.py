@@ -122,10 +122,7 @@ def _covered(grid: np.ndarray, person: np.ndarray, frame: np.ndarray) -> Float[n
 
 
 def score_reading(
-    moving: Movers,
-    frame: Integer[np.ndarray, " D"],
-    film_from_recorded: Num[np.ndarray, "2 3"],
-    motion: Motion,
+    moving: Movers, frame: Integer[np.ndarray, " D"], film_from_recorded: Num[np.ndarray, "2 3"], motion: Motion
 ) -> Score:
     """How well ``moving`` fit ``motion`` if detection d shows frame ``frame[d]`` of the film and the map is right."""
     shown = frame[moving.person] if len(moving.person) else np.zeros(0, np.int64)

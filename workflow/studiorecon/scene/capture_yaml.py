@@ -25,7 +25,7 @@ T = TypeVar("T")
 MAX_PEOPLE = 100
 # Focal lengths in pixels: lenses have smaller numbers in millimetres, and no telescope a larger one.
 MIN_FOCAL_PX, MAX_FOCAL_PX = 50.0, 1e6
-MIN_HEIGHT_M, MAX_HEIGHT_M = 0.5, 2.8
+_HEIGHTS_M = MIN_HEIGHT_M, MAX_HEIGHT_M = 0.5, 2.8
 MAX_DISTANCE_M = 1000.0
 # Eleven days at 100 frames per second.
 _MAX_FRAMES = 10**8
@@ -188,26 +188,19 @@ def measured_lengths(description: dict[str, Any], footage: Mapping[str, Path]) -
     found: dict[str, Any] = {}
     if (heights := description.get("height_m")) is not None:
         table = heights if isinstance(heights, dict) else {"": heights}
+        what = f"somebody's height in metres, {MIN_HEIGHT_M:g} to {MAX_HEIGHT_M:g}"
         found["height_m"] = {
-            str(person): number(
-                value,
-                f"capture.yaml: height_m{f' of {person}' if person else ''}",
-                MIN_HEIGHT_M,
-                MAX_HEIGHT_M,
-                f"somebody's height in metres, {MIN_HEIGHT_M:g} to {MAX_HEIGHT_M:g}",
-            )
+            str(person): number(value, f"capture.yaml: height_m{' of ' * bool(person)}{person}", *_HEIGHTS_M, what)
             for person, value in table.items()
         }
     if (distance := description.get("distance_m")) is not None:
-        where = "capture.yaml: distance_m"
-        what = "[cam01, cam02, 3.21]: metres from lens to lens of two cameras"
-        listed = distance if isinstance(distance, list) and len(distance) == 3 else None
-        if listed is None:
+        where, what = "capture.yaml: distance_m", "[cam01, cam02, 3.21]: metres from lens to lens of two cameras"
+        if not isinstance(distance, list) or len(distance) != 3:
             raise UserError(f"{where} is {short_text(distance)}; it must have the form {what}")
-        metres = number(listed[2], where, 1e-3, MAX_DISTANCE_M, f"{what}, of at most {MAX_DISTANCE_M:g} m")
-        pair = [_check_named(camera, "distance_m", footage) for camera in listed[:2]]
+        metres = number(distance[2], where, 1e-3, MAX_DISTANCE_M, f"{what}, of at most {MAX_DISTANCE_M:g} m")
+        pair = [_check_named(camera, "distance_m", footage) for camera in distance[:2]]
         if pair[0] == pair[1]:
-            raise UserError(f"capture.yaml: distance_m is from camera {pair[0]} to itself; name two cameras")
+            raise UserError(f"{where} is from camera {pair[0]} to itself; name two cameras")
         found |= {"between": pair, "distance_m": metres}
     return found
 

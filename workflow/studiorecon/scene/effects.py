@@ -137,10 +137,7 @@ def force(effects: Iterable[Effect]) -> Any:
         paper_value=PAPER_CHOICES,
         shape={
             "type": "object",
-            "propertyNames": {
-                "enum": names,
-                "description": "only effects that a step uses can be forced",
-            },
+            "propertyNames": {"enum": names, "description": "only effects that a step uses can be forced"},
             "additionalProperties": {"enum": ["on", "off"]},
         },
     )

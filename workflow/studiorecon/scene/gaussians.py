@@ -4,7 +4,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields, replace
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -39,13 +39,8 @@ class Gaussians:
     def __post_init__(self) -> None:
         count = len(self.means_m)
         bands = self.sh.shape[1] if self.sh.ndim == 3 else 0
-        expected = {
-            "means_m": (count, 3),
-            "quaternions": (count, 4),
-            "log_scales": (count, 3),
-            "logit_opacities": (count,),
-            "sh": (count, bands, 3),
-        }
+        expected = {"means_m": (count, 3), "quaternions": (count, 4), "log_scales": (count, 3), "sh": (count, bands, 3)}
+        expected["logit_opacities"] = (count,)
         for name, shape in expected.items():
             value = getattr(self, name)
             if value.shape != shape:
@@ -76,13 +71,7 @@ class Gaussians:
 
     def take(self, index: Integer[np.ndarray, " M"] | Bool[np.ndarray, " N"]) -> Gaussians:
         """The Gaussians at ``index`` (integers or a boolean mask), in that order."""
-        return Gaussians(
-            self.means_m[index],
-            self.quaternions[index],
-            self.log_scales[index],
-            self.logit_opacities[index],
-            self.sh[index],
-        )
+        return Gaussians(*(getattr(self, field.name)[index] for field in fields(self)))
 
     def undrawn(self) -> Gaussians:
         """The same number of Gaussians, all invisible: it keeps the place of an absent person in a composite."""
@@ -94,7 +83,7 @@ class Gaussians:
         sh = np.zeros((self.count, bands, 3), np.float32)
         kept = min(bands, self.sh.shape[1])
         sh[:, :kept] = self.sh[:, :kept]
-        return Gaussians(self.means_m, self.quaternions, self.log_scales, self.logit_opacities, sh)
+        return replace(self, sh=sh)
 
 
 def sh_from_rgb(rgb: Num[np.ndarray, "... 3"]) -> Float[np.ndarray, "... 3"]:
@@ -115,5 +104,4 @@ def concatenate(sets: Sequence[Gaussians]) -> Gaussians:
         return empty(0)
     degree = max(s.sh_degree for s in sets)
     padded = [s.with_sh_degree(degree) for s in sets]
-    fields = ("means_m", "quaternions", "log_scales", "logit_opacities", "sh")
-    return Gaussians(*(np.concatenate([getattr(s, name) for s in padded]) for name in fields))
+    return Gaussians(*(np.concatenate([getattr(s, field.name) for s in padded]) for field in fields(Gaussians)))

@@ -12,10 +12,7 @@ from studiorecon.scene.files import write_json
 from studiorecon.scene.schema import ListOf, frame_rate, real, record, text
 from studiorecon.scene.step_files import read
 
-_PATH = {
-    "fps": frame_rate(),
-    "steps": ListOf({"camera": CAMERA, "frame": real(low=0), "segment": text()}),
-}
+_PATH = {"fps": frame_rate(), "steps": ListOf({"camera": CAMERA, "frame": real(low=0), "segment": text()})}
 
 
 @dataclass(frozen=True)

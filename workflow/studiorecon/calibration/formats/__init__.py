@@ -12,7 +12,6 @@ from __future__ import annotations
 from studiorecon.calibration.formats.alicevision import FORMAT as ALICEVISION
 from studiorecon.calibration.formats.biocv import FORMAT as BIOCV
 from studiorecon.calibration.formats.board import FORMAT as BOARD
-from studiorecon.calibration.formats.caliscope import FORMAT as CALISCOPE
 from studiorecon.calibration.formats.colmap_files import FORMAT as COLMAP
 from studiorecon.calibration.formats.easymocap import FORMAT as EASYMOCAP
 from studiorecon.calibration.formats.egoexo import FORMAT as EGOEXO
@@ -22,6 +21,7 @@ from studiorecon.calibration.formats.nerfstudio import FORMAT as NERFSTUDIO
 from studiorecon.calibration.formats.opencap import FORMAT as OPENCAP
 from studiorecon.calibration.formats.opencv_storage import FORMAT as OPENCV
 from studiorecon.calibration.formats.optitrack import FORMAT as OPTITRACK
+from studiorecon.calibration.formats.pose2sim import CALISCOPE
 from studiorecon.calibration.formats.pose2sim import FORMAT as POSE2SIM
 from studiorecon.calibration.formats.qualisys import FORMAT as QUALISYS
 from studiorecon.calibration.formats.reading import CalibrationFormat

@@ -13,7 +13,7 @@ from typing import Any
 
 import numpy as np
 
-from studiorecon.calibration.formats.reading import CalibrationFormat, Reading, merged_static
+from studiorecon.calibration.formats.reading import CalibrationFormat, Reading, merged_static, one_file
 from studiorecon.camera_files.lens_kinds import coefficients
 from studiorecon.camera_files.raw_camera import RawCamera, intrinsics_matrix, rigid_camera_from_world
 from studiorecon.errors import UserError
@@ -29,10 +29,6 @@ _AS_OPENCV = {
     "brown": (0, 1, 3, 4, 2),
 }
 _FISHEYES = ("fisheye", "fisheye4")
-
-
-def recognises(files: list[Path]) -> bool:
-    return len(files) == 1 and files[0].suffix == ".sfm"
 
 
 def read(files: list[Path]) -> Reading:
@@ -93,14 +89,8 @@ def _camera(name: str, pose: dict[str, Any], lens: dict[str, Any], version: tupl
     camera_from_world, _ = rigid_camera_from_world(
         rotation, -rotation @ np.array(pose["center"], dtype=np.float64), where
     )
-    return RawCamera(
-        name=name,
-        wh=(width, height),
-        intrinsics=intrinsics_matrix(fx, fy, centre[0], centre[1], integer_centres=True),
-        model=model,
-        distortion=distortion,
-        camera_from_world=camera_from_world,
-    )
+    intrinsics = intrinsics_matrix(fx, fy, centre[0], centre[1], integer_centres=True)
+    return RawCamera(name, (width, height), intrinsics, model, distortion, camera_from_world)
 
 
 def _focal_px(lens: dict[str, Any], width: int, version: tuple[int, ...]) -> tuple[float, float]:
@@ -114,10 +104,5 @@ def _focal_px(lens: dict[str, Any], width: int, version: tuple[int, ...]) -> tup
 
 
 FORMAT = CalibrationFormat(
-    name="alicevision",
-    made_by="Meshroom, AliceVision",
-    files_in_words="`cameras.sfm`",
-    files=(("cameras.sfm",), ("*.sfm",)),
-    recognises=recognises,
-    read=read,
+    "alicevision", "Meshroom, AliceVision", "`cameras.sfm`", (("cameras.sfm",), ("*.sfm",)), one_file("*.sfm"), read
 )

@@ -53,22 +53,17 @@ def _camera(path: Path) -> RawCamera:
             "the rows of a 4×4 pose and one of distortion"
         )
     pose = pose_rows(np.array(rows[5:-1]), where)
-    return RawCamera(
-        name=name,
-        wh=(round(rows[0][0]), round(rows[1][0])),
-        intrinsics=unadjusted_intrinsics(rows[2:5], where),
-        model="opencv",
-        distortion=coefficients("opencv", rows[-1], where),
-        camera_from_world=rigid_camera_from_world(pose[:, :3], pose[:, 3], where)[0],
-    )
+    wh, intrinsics = (round(rows[0][0]), round(rows[1][0])), unadjusted_intrinsics(rows[2:5], where)
+    camera_from_world, _ = rigid_camera_from_world(pose[:, :3], pose[:, 3], where)
+    return RawCamera(name, wh, intrinsics, "opencv", coefficients("opencv", rows[-1], where), camera_from_world)
 
 
 FORMAT = CalibrationFormat(
-    name="biocv",
-    made_by="bioCV",
-    files_in_words="`*.calib`, one per camera",
-    files=(("*.calib",), ("calibration/*.calib",), ("videos/*.calib",)),
-    recognises=recognises,
-    read=read,
+    "biocv",
+    "bioCV",
+    "`*.calib`, one per camera",
+    (("*.calib",), ("calibration/*.calib",), ("videos/*.calib",)),
+    recognises,
+    read,
     file_per_camera=True,
 )

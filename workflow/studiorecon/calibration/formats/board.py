@@ -79,11 +79,11 @@ def camera_films(paths: list[Path]) -> dict[str, Path]:
 
 
 FORMAT = CalibrationFormat(
-    name="board",
-    made_by="OpenCV's, Caliscope's and others' printed boards",
-    files_in_words="`board.yaml`, or `board/` with `board.yaml` or `charuco.toml`, and films that show the board",
-    files=(("board.yaml",), ("board/board.yaml",), ("board/charuco*.toml",)),
-    recognises=recognises,
-    read=read,
+    "board",
+    "OpenCV's, Caliscope's and others' printed boards",
+    "`board.yaml`, or `board/` with `board.yaml` or `charuco.toml`, and films that show the board",
+    (("board.yaml",), ("board/board.yaml",), ("board/charuco*.toml",)),
+    recognises,
+    read,
     holds_cameras=is_board,
 )

@@ -24,15 +24,15 @@ def read(files: list[Path]) -> Reading:
 
 
 FORMAT = CalibrationFormat(
-    name="colmap",
-    made_by="COLMAP",
-    files_in_words="`sparse/0` (text or binary, rigs too)",
-    files=(
+    "colmap",
+    "COLMAP",
+    "`sparse/0` (text or binary, rigs too)",
+    (
         ("sparse/0/cameras.txt", "sparse/0/images.txt"),
         ("sparse/0/cameras.bin", "sparse/0/images.bin"),
         ("sparse/cameras.txt", "sparse/images.txt"),
         ("cameras.txt", "images.txt"),
     ),
-    recognises=recognises,
-    read=read,
+    recognises,
+    read,
 )

@@ -104,15 +104,10 @@ def _lens(intri: dict, name: str, key: str, where: str) -> tuple[RawCamera, list
     if fisheye is not None and plain is not None:
         notes.append(f"{where} has the lens twice: rdist_{key} (fisheye) was used, dist_{key} was not")
     model = "opencv" if fisheye is None else "fisheye"
-    camera = RawCamera(
-        name=name,
-        wh=(_size(intri, f"W_{key}", where), _size(intri, f"H_{key}", where)),
-        intrinsics=unadjusted_intrinsics(_required(intri, f"K_{key}", where), where),
-        model=model,
-        distortion=coefficients(model, plain if fisheye is None else fisheye, where),
-        camera_from_world=np.eye(4),
-    )
-    return camera, notes
+    wh = _size(intri, f"W_{key}", where), _size(intri, f"H_{key}", where)
+    intrinsics = unadjusted_intrinsics(_required(intri, f"K_{key}", where), where)
+    distortion = coefficients(model, plain if fisheye is None else fisheye, where)
+    return RawCamera(name, wh, intrinsics, model, distortion, np.eye(4)), notes
 
 
 def is_intri(path: Path) -> bool:
@@ -149,14 +144,10 @@ def _size(table: dict, key: str, where: str) -> int:
 
 
 FORMAT = CalibrationFormat(
-    name="easymocap",
-    made_by="EasyMocap, EasyVolcap, Pose2Sim",
-    files_in_words="`intri.yml` + `extri.yml`",
-    files=(
-        ("intri.yml", "extri.yml"),
-        ("optimized/intri.yml", "optimized/extri.yml"),
-        ("Intrinsic.yml", "Extrinsic.yml"),
-    ),
-    recognises=recognises,
-    read=read,
+    "easymocap",
+    "EasyMocap, EasyVolcap, Pose2Sim",
+    "`intri.yml` + `extri.yml`",
+    (("intri.yml", "extri.yml"), ("optimized/intri.yml", "optimized/extri.yml"), ("Intrinsic.yml", "Extrinsic.yml")),
+    recognises,
+    read,
 )

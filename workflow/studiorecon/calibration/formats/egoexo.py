@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 
-from studiorecon.calibration.formats.reading import CalibrationFormat, Reading
+from studiorecon.calibration.formats.reading import CalibrationFormat, Reading, one_file
 from studiorecon.camera_files.raw_camera import RawCamera, camera_from_world_of_pose, intrinsics_matrix
 from studiorecon.errors import UserError
 from studiorecon.geometry.rotations import from_quaternion
@@ -21,10 +21,6 @@ _COLUMNS = (
     "image_width",
     "image_height",
 )
-
-
-def recognises(files: list[Path]) -> bool:
-    return len(files) == 1 and files[0].suffix == ".csv"
 
 
 def read(files: list[Path]) -> Reading:
@@ -49,21 +45,17 @@ def _camera(row: dict[str, str], path: Path) -> RawCamera:
         raise UserError(f"{where}: the rotation is a quaternion of length 0; calibrate this camera again")
     world_from_camera = np.eye(4)
     world_from_camera[:3, :3], world_from_camera[:3, 3] = from_quaternion(quaternion), translation
-    return RawCamera(
-        name=name,
-        wh=wh,
-        intrinsics=intrinsics_matrix(fx, fy, cx, cy, integer_centres=True),
-        model="fisheye" if terms else "opencv",
-        distortion=np.pad(np.array(terms), (0, 4 - len(terms))) if terms else np.zeros(8),
-        camera_from_world=camera_from_world_of_pose(world_from_camera, where),
-    )
+    intrinsics = intrinsics_matrix(fx, fy, cx, cy, integer_centres=True)
+    distortion = np.pad(np.array(terms), (0, 4 - len(terms))) if terms else np.zeros(8)
+    pose = camera_from_world_of_pose(world_from_camera, where)
+    return RawCamera(name, wh, intrinsics, "fisheye" if terms else "opencv", distortion, pose)
 
 
 FORMAT = CalibrationFormat(
-    name="egoexo",
-    made_by="Ego-Exo4D",
-    files_in_words="`gopro_calibs.csv`",
-    files=(("gopro_calibs.csv",), ("trajectory/gopro_calibs.csv",)),
-    recognises=recognises,
-    read=read,
+    "egoexo",
+    "Ego-Exo4D",
+    "`gopro_calibs.csv`",
+    (("gopro_calibs.csv",), ("trajectory/gopro_calibs.csv",)),
+    one_file("*.csv"),
+    read,
 )

@@ -75,13 +75,13 @@ def _metric(camera: RawCamera, colmap_from_metric: np.ndarray, where: str) -> Ra
 
 
 FORMAT = CalibrationFormat(
-    name="egohumans",
-    made_by="EgoHumans, Harmony4D",
-    files_in_words="`colmap/workplace`",
-    files=tuple(
+    "egohumans",
+    "EgoHumans, Harmony4D",
+    "`colmap/workplace`",
+    tuple(
         ("colmap/workplace/cameras.txt", "colmap/workplace/images.txt", f"colmap/workplace/{similarity}")
         for similarity in ("scale.npy", "colmap_from_aria_transforms.pkl")
     ),
-    recognises=recognises,
-    read=read,
+    recognises,
+    read,
 )

@@ -8,15 +8,11 @@ from pathlib import Path
 
 import numpy as np
 
-from studiorecon.calibration.formats.reading import CalibrationFormat, Reading
+from studiorecon.calibration.formats.reading import CalibrationFormat, Reading, one_file
 from studiorecon.camera_files.raw_camera import RawCamera, camera_from_world_of_pose, intrinsics_matrix
 from studiorecon.errors import UserError
 from studiorecon.scene.user_files import read_npy
 from studiorecon.scene.user_values import numbers
-
-
-def recognises(files: list[Path]) -> bool:
-    return len(files) == 1 and files[0].name == "poses_bounds.npy"
 
 
 def read(files: list[Path]) -> Reading:
@@ -34,24 +30,13 @@ def read(files: list[Path]) -> Reading:
         down, right, back = block[:, 0], block[:, 1], block[:, 2]
         world_from_camera = np.eye(4)
         world_from_camera[:3] = np.stack([right, down, -back, block[:, 3]], axis=1)
-        cameras.append(
-            RawCamera(
-                name=str(index),
-                wh=(round(width), round(height)),
-                intrinsics=intrinsics_matrix(focal, focal, width / 2, height / 2, integer_centres=False),
-                model="opencv",
-                distortion=np.zeros(8),
-                camera_from_world=camera_from_world_of_pose(world_from_camera, f"camera {index} in {path}"),
-            )
-        )
+        intrinsics = intrinsics_matrix(focal, focal, width / 2, height / 2, integer_centres=False)
+        pose = camera_from_world_of_pose(world_from_camera, f"camera {index} in {path}")
+        wh = round(width), round(height)
+        cameras.append(RawCamera(str(index), wh, intrinsics, "opencv", np.zeros(8), pose))
     return Reading("LLFF poses_bounds.npy", tuple(cameras), "unknown", (), named=False)
 
 
 FORMAT = CalibrationFormat(
-    name="llff",
-    made_by="LLFF, Neural 3D Video",
-    files_in_words="`poses_bounds.npy`",
-    files=(("poses_bounds.npy",),),
-    recognises=recognises,
-    read=read,
+    "llff", "LLFF, Neural 3D Video", "`poses_bounds.npy`", (("poses_bounds.npy",),), one_file("poses_bounds.npy"), read
 )

@@ -26,10 +26,5 @@ def read(files: list[Path]) -> Reading:
 
 
 FORMAT = CalibrationFormat(
-    name="nerfstudio",
-    made_by="nerfstudio, instant-ngp",
-    files_in_words="`transforms.json`",
-    files=(("transforms.json",),),
-    recognises=recognises,
-    read=read,
+    "nerfstudio", "nerfstudio, instant-ngp", "`transforms.json`", (("transforms.json",),), recognises, read
 )

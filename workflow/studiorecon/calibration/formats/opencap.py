@@ -10,8 +10,6 @@ from __future__ import annotations
 
 from pathlib import Path
 
-import numpy as np
-
 from studiorecon.calibration.formats.pickles import read_pickle
 from studiorecon.calibration.formats.reading import CalibrationFormat, Reading
 from studiorecon.camera_files.lens_kinds import coefficients
@@ -46,22 +44,18 @@ def _camera(path: Path) -> RawCamera:
         if len(values[key]) != size:
             raise UserError(f"{where}: {key} holds {len(values[key])} numbers; OpenCap writes {size}")
     height, width = values["imageSize"]
-    return RawCamera(
-        name=name,
-        wh=(round(width), round(height)),
-        intrinsics=unadjusted_intrinsics(values["intrinsicMat"], where),
-        model="opencv",
-        distortion=coefficients("opencv", values["distortion"], where),
-        camera_from_world=rigid_camera_from_world(np.array(values["rotation"]), values["translation"], where)[0],
-    )
+    intrinsics = unadjusted_intrinsics(values["intrinsicMat"], where)
+    pose, _ = rigid_camera_from_world(values["rotation"], values["translation"], where)
+    distortion = coefficients("opencv", values["distortion"], where)
+    return RawCamera(name, (round(width), round(height)), intrinsics, "opencv", distortion, pose)
 
 
 FORMAT = CalibrationFormat(
-    name="opencap",
-    made_by="OpenCap",
-    files_in_words=f"`{_NAME}`, one per camera",
-    files=((f"*/{_NAME}",), (f"Videos/*/{_NAME}",), ("calibration/*.pickle",)),
-    recognises=recognises,
-    read=read,
+    "opencap",
+    "OpenCap",
+    f"`{_NAME}`, one per camera",
+    ((f"*/{_NAME}",), (f"Videos/*/{_NAME}",), ("calibration/*.pickle",)),
+    recognises,
+    read,
     file_per_camera=True,
 )

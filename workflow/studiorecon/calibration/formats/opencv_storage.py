@@ -154,14 +154,10 @@ def read_camera(name: str, table: Mapping[str, Any], where: str) -> RawCamera:
     else:
         width, height = (float(held.get(side, 0)) for side in ("width", "height"))
     model = lens_model(table, where)
-    return RawCamera(
-        name=name,
-        wh=(round(width), round(height)),
-        intrinsics=unadjusted_intrinsics(held["matrix"], where),
-        model=model,
-        distortion=coefficients(model, held.get("distortion"), where),
-        camera_from_world=_pose(held, where) if _posed(set(held)) else np.eye(4),
-    )
+    distortion = coefficients(model, held.get("distortion"), where)
+    pose = _pose(held, where) if _posed(set(held)) else np.eye(4)
+    intrinsics = unadjusted_intrinsics(held["matrix"], where)
+    return RawCamera(name, (round(width), round(height)), intrinsics, model, distortion, pose)
 
 
 def _posed(kinds: set[str]) -> bool:
@@ -214,12 +210,12 @@ def read(files: list[Path]) -> Reading:
 
 
 FORMAT = CalibrationFormat(
-    name="opencv",
-    made_by="OpenCV's FileStorage",
-    files_in_words="`*.xml`, `*.yml` or `*.json`, one per camera",
-    files=tuple((f"{folder}*{suffix}",) for folder in ("", "calibration/", "cameras/") for suffix in _SUFFIXES),
-    recognises=recognises,
-    read=read,
+    "opencv",
+    "OpenCV's FileStorage",
+    "`*.xml`, `*.yml` or `*.json`, one per camera",
+    tuple((f"{folder}*{suffix}",) for folder in ("", "calibration/", "cameras/") for suffix in _SUFFIXES),
+    recognises,
+    read,
     holds_cameras=lambda path: file_kind(path) == "cameras",
     file_per_camera=True,
 )

@@ -14,17 +14,13 @@ from xml.etree.ElementTree import Element
 
 import numpy as np
 
-from studiorecon.calibration.formats.reading import CalibrationFormat, Reading, attribute, number_attribute
+from studiorecon.calibration.formats.reading import CalibrationFormat, Reading, attribute, number_attributes, one_file
 from studiorecon.camera_files.raw_camera import RawCamera, camera_from_world_of_pose, intrinsics_matrix
 from studiorecon.errors import UserError
 from studiorecon.scene.user_files import read_xml
 
 # Motive's cameras look along -z with y up; ours along +z with y down.
 _FLIP = np.diag([1.0, -1.0, -1.0])
-
-
-def recognises(files: list[Path]) -> bool:
-    return len(files) == 1 and files[0].suffix.lower() in (".mcal", ".cal")
 
 
 def read(files: list[Path]) -> Reading:
@@ -50,32 +46,26 @@ def read(files: list[Path]) -> Reading:
 
 def _camera(name: str, element: Element, extrinsic: Element, lens: Element, where: str) -> RawCamera:
     world_from_camera = np.eye(4)
-    axes = np.array([number_attribute(extrinsic, f"OrientMatrix{i}", where) for i in range(9)]).reshape(3, 3)
-    world_from_camera[:3, :3] = axes @ _FLIP
-    world_from_camera[:3, 3] = [number_attribute(extrinsic, axis, where) for axis in "XYZ"]
-    focal = [number_attribute(lens, f"{way}FocalLength", where) for way in ("Horizontal", "Vertical")]
-    centre = [number_attribute(lens, f"LensCenter{axis}", where) for axis in "XY"]
-    k1, k2, k3 = (number_attribute(lens, f"k{i}", where) for i in (1, 2, 3))
-    p1, p2 = (number_attribute(lens, f"Tangential{axis}", where) for axis in "XY")
+    axes = number_attributes(extrinsic, [f"OrientMatrix{i}" for i in range(9)], where)
+    world_from_camera[:3, :3] = axes.reshape(3, 3) @ _FLIP
+    world_from_camera[:3, 3] = number_attributes(extrinsic, "XYZ", where)
+    lengths = ("HorizontalFocalLength", "VerticalFocalLength", "LensCenterX", "LensCenterY")
+    fx, fy, cx, cy = number_attributes(lens, lengths, where)
+    k1, k2, k3, p1, p2 = number_attributes(lens, ("k1", "k2", "k3", "TangentialX", "TangentialY"), where)
     size = element.find("Attributes")
     if size is None:
         raise UserError(f"{where}: Attributes, which hold the size of its pictures, are missing; save it again")
-    width, height = (round(number_attribute(size, f"ImagerPixel{side}", where)) for side in ("Width", "Height"))
-    return RawCamera(
-        name=name,
-        wh=(width, height),
-        intrinsics=intrinsics_matrix(focal[0], focal[1], centre[0], centre[1], integer_centres=True),
-        model="opencv",
-        distortion=np.array([k1, k2, p1, p2, k3, 0, 0, 0]),
-        camera_from_world=camera_from_world_of_pose(world_from_camera, where),
-    )
+    width, height = map(round, number_attributes(size, ("ImagerPixelWidth", "ImagerPixelHeight"), where))
+    intrinsics, distortion = intrinsics_matrix(fx, fy, cx, cy, True), np.array([k1, k2, p1, p2, k3, 0, 0, 0])
+    pose = camera_from_world_of_pose(world_from_camera, where)
+    return RawCamera(name, (width, height), intrinsics, "opencv", distortion, pose)
 
 
 FORMAT = CalibrationFormat(
-    name="optitrack",
-    made_by="OptiTrack Motive 3.2 and later",
-    files_in_words="`*.mcal`",
-    files=(("*.mcal",), ("calibration/*.mcal",), ("*.cal",), ("calibration/*.cal",)),
-    recognises=recognises,
-    read=read,
+    "optitrack",
+    "OptiTrack Motive 3.2 and later",
+    "`*.mcal`",
+    (("*.mcal",), ("calibration/*.mcal",), ("*.cal",), ("calibration/*.cal",)),
+    one_file("*.mcal", "*.cal"),
+    read,
 )

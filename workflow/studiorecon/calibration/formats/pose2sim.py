@@ -1,11 +1,12 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Pose2Sim ``Calib*.toml`` and the aniposelib family (Caliscope, AniPose, FreeMoCap): one table per camera."""
+"""Pose2Sim ``Calib*.toml`` and the aniposelib family (AniPose, FreeMoCap, and Caliscope's ``camera_array.toml`` with
+``[cameras.N]``): one table per camera."""
 
 from __future__ import annotations
 
 from pathlib import Path
 
-from studiorecon.calibration.formats.reading import CalibrationFormat, Reading
+from studiorecon.calibration.formats.reading import CalibrationFormat, Reading, one_file
 from studiorecon.camera_files.lens_kinds import coefficients, lens_model
 from studiorecon.camera_files.raw_camera import (
     RawCamera,
@@ -18,8 +19,7 @@ from studiorecon.errors import UserError
 from studiorecon.scene.user_files import MAX_TEXT_BYTES, read_bytes, read_toml
 from studiorecon.scene.user_values import name, numbers
 
-# Caliscope's cameras are in such a file too; its cards and volumes, and Pose2Sim's Config.toml, are in the same folder.
-TOML_FILES = (("*.toml",), ("calibration/*.toml",))
+# Of Caliscope's cards and volumes, and Pose2Sim's Config.toml.
 _OTHER_TABLES = {"metadata", "capture_volume", "charuco", "checkerboard"}
 
 
@@ -32,22 +32,35 @@ def camera_tables(path: Path) -> dict[str, dict]:
 
 
 def recognises(files: list[Path]) -> bool:
-    """Tables without a name are called after their keys; Caliscope's have cam_id or port."""
-    return (
-        len(files) == 1
-        and files[0].suffix == ".toml"
-        and not all("name" not in t and ("cam_id" in t or "port" in t) for t in camera_tables(files[0]).values())
-    )
+    """Whether a TOML file has tables of cameras; ``_is_caliscope``: with the number of a port."""
+    return one_file("*.toml")(files) and bool(camera_tables(files[0]))
+
+
+def _is_caliscope(files: list[Path]) -> bool:
+    return recognises(files) and any("cam_id" in t or "port" in t for t in camera_tables(files[0]).values())
 
 
 def read(files: list[Path]) -> Reading:
     """The cameras of the file; the unit is metres for Pose2Sim, and guessed later for the rest of the family."""
-    cameras = []
     notes: list[str] = []
-    for key, table in camera_tables(files[0]).items():
-        called = name(table.get("name", key), f"the name of table {key} in {files[0]}")
-        cameras.append(camera_of_table(called, table, files[0], notes))
+    cameras = [
+        camera_of_table(name(table.get("name", key), f"the name of table {key} in {files[0]}"), table, files[0], notes)
+        for key, table in camera_tables(files[0]).items()
+    ]
     return Reading("Pose2Sim/aniposelib TOML", tuple(cameras), "unknown", tuple(notes))
+
+
+def read_caliscope(files: list[Path]) -> Reading:
+    """The cameras that Caliscope's file does not ignore, in metres, whose videos are called ``cam_N``.
+
+    ``rotation_count`` is the number of quarter turns by which Caliscope rotates a picture for its tracker, whose points
+    it rotates back: films and numbers fit as they are stored.
+    """
+    tables, notes = camera_tables(files[0]), list[str]()
+    ignored = [key for key, table in tables.items() if table.get("ignore", False)]
+    notes += [f"camera {key} is marked as ignored in {files[0].name} and was left out" for key in ignored]
+    cameras = [camera_of_table(f"cam_{k}", t, files[0], notes) for k, t in tables.items() if k not in ignored]
+    return Reading("Caliscope camera_array.toml", tuple(cameras), "m", tuple(notes))
 
 
 def camera_of_table(name: str, table: dict, path: Path, notes: list[str]) -> RawCamera:
@@ -68,14 +81,9 @@ def camera_of_table(name: str, table: dict, path: Path, notes: list[str]) -> Raw
         raise UserError(f"{where}: size holds {size.size} numbers; it must be width and height")
     width, height = size.tolist()
     model = lens_model(table, where)
-    return RawCamera(
-        name=name,
-        wh=(round(width), round(height)),
-        intrinsics=unadjusted_intrinsics(table["matrix"], where),
-        model=model,
-        distortion=coefficients(model, table.get("distortions"), where),
-        camera_from_world=pose,
-    )
+    distortion = coefficients(model, table.get("distortions"), where)
+    intrinsics = unadjusted_intrinsics(table["matrix"], where)
+    return RawCamera(name, (round(width), round(height)), intrinsics, model, distortion, pose)
 
 
 def holds_cameras(path: Path) -> bool:
@@ -84,12 +92,10 @@ def holds_cameras(path: Path) -> bool:
     return "matrix" in text and "translation" in text
 
 
+_PLACES = (("*.toml",), ("calibration/*.toml",))
+CALISCOPE = CalibrationFormat(
+    "caliscope", "Caliscope", "`camera_array.toml`", _PLACES, _is_caliscope, read_caliscope, holds_cameras
+)
 FORMAT = CalibrationFormat(
-    name="pose2sim",
-    made_by="Pose2Sim, aniposelib, AniPose, FreeMoCap",
-    files_in_words="`Calib*.toml`",
-    files=TOML_FILES,
-    recognises=recognises,
-    read=read,
-    holds_cameras=holds_cameras,
+    "pose2sim", "Pose2Sim, aniposelib, AniPose, FreeMoCap", "`Calib*.toml`", _PLACES, recognises, read, holds_cameras
 )

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 
-from studiorecon.calibration.formats.reading import CalibrationFormat, Reading, attribute, number_attribute
+from studiorecon.calibration.formats.reading import CalibrationFormat, Reading, attribute, number_attributes, one_file
 from studiorecon.camera_files.raw_camera import RawCamera, camera_from_world_of_pose, intrinsics_matrix
 from studiorecon.errors import UserError
 from studiorecon.scene.user_files import read_xml
@@ -15,10 +15,6 @@ from studiorecon.scene.user_files import read_xml
 _SUBPIXELS = 64.0
 # Qualisys cameras look along -z with y up; ours along +z with y down.
 _FLIP = np.diag([1.0, -1.0, -1.0])
-
-
-def recognises(files: list[Path]) -> bool:
-    return len(files) == 1 and files[0].name.lower().endswith((".qca.txt", ".qca", ".qca.xml"))
 
 
 def read(files: list[Path]) -> Reading:
@@ -40,37 +36,28 @@ def read(files: list[Path]) -> Reading:
         if transform is None or intrinsic is None or frame is None:
             raise UserError(f"{where}: transform, intrinsic or fov_video is missing; export the calibration again")
         # The nine numbers are stored column by column: r11 r12 r13 are the image's x axis in the world.
-        axes = np.array([[number_attribute(transform, f"r{i}{j}", where) for j in (1, 2, 3)] for i in (1, 2, 3)])
+        axes = number_attributes(transform, [f"r{i}{j}" for i in (1, 2, 3) for j in (1, 2, 3)], where).reshape(3, 3)
         world_from_camera = np.eye(4)
         world_from_camera[:3, :3] = axes.T @ _FLIP
-        world_from_camera[:3, 3] = [number_attribute(transform, axis, where) / 1000 for axis in "xyz"]
-        left, top = (number_attribute(frame, s, where) for s in ("left", "top"))
-        right, bottom = (number_attribute(frame, s, where) for s in ("right", "bottom"))
-        focal = [number_attribute(intrinsic, f"focalLength{a}", where) / _SUBPIXELS for a in "UV"]
-        centre = [number_attribute(intrinsic, f"centerPoint{a}", where) / _SUBPIXELS for a in "UV"]
-        radial = [float(intrinsic.get(f"radialDistortion{i}", 0)) for i in (1, 2, 3)]
+        world_from_camera[:3, 3] = number_attributes(transform, "xyz", where) / 1000
+        left, top, right, bottom = number_attributes(frame, ("left", "top", "right", "bottom"), where)
+        lengths = ("focalLengthU", "focalLengthV", "centerPointU", "centerPointV")
+        fx, fy, cx, cy = number_attributes(intrinsic, lengths, where) / _SUBPIXELS
         # The misspelling is the format's.
-        tangential = [float(intrinsic.get(f"tangentalDistortion{i}", 0)) for i in (1, 2)]
-        cameras.append(
-            RawCamera(
-                name=name,
-                wh=(round(right - left + 1), round(bottom - top + 1)),
-                intrinsics=intrinsics_matrix(
-                    focal[0], focal[1], centre[0] - left, centre[1] - top, integer_centres=True
-                ),
-                model="opencv",
-                distortion=np.array([radial[0], radial[1], *tangential, radial[2], 0, 0, 0]),
-                camera_from_world=camera_from_world_of_pose(world_from_camera, where),
-            )
-        )
+        terms = ("radialDistortion1", "radialDistortion2", "tangentalDistortion1", "tangentalDistortion2")
+        distortion = number_attributes(intrinsic, (*terms, "radialDistortion3"), where, "0")
+        wh = round(right - left + 1), round(bottom - top + 1)
+        intrinsics = intrinsics_matrix(fx, fy, cx - left, cy - top, integer_centres=True)
+        pose = camera_from_world_of_pose(world_from_camera, where)
+        cameras.append(RawCamera(name, wh, intrinsics, "opencv", np.pad(distortion, (0, 3)), pose))
     return Reading("Qualisys qca", tuple(cameras), "m", ())
 
 
 FORMAT = CalibrationFormat(
-    name="qualisys",
-    made_by="Qualisys",
-    files_in_words="`*.qca.txt`",
-    files=(("*.qca.txt",), ("calibration/*.qca.txt",)),
-    recognises=recognises,
-    read=read,
+    "qualisys",
+    "Qualisys",
+    "`*.qca.txt`",
+    (("*.qca.txt",), ("calibration/*.qca.txt",)),
+    one_file("*.qca.txt", "*.qca", "*.qca.xml"),
+    read,
 )

@@ -3,10 +3,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
+from fnmatch import fnmatch
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 from xml.etree.ElementTree import Element
 
 import numpy as np
@@ -16,6 +17,10 @@ from studiorecon.errors import UserError
 from studiorecon.scene.files import write_json
 from studiorecon.scene.schema import RIGID, ListOf, flag, real, record, text, whole
 from studiorecon.scene.step_files import read
+from studiorecon.scene.user_values import short_text
+
+if TYPE_CHECKING:
+    from jaxtyping import Float
 
 # A static camera's poses of several pictures differ by what bundle adjustment leaves: less than this share of the
 # spread of all cameras, and this angle.
@@ -107,6 +112,11 @@ class CalibrationFormat:
     file_per_camera: bool = False
 
 
+def one_file(*patterns: str) -> Callable[[list[Path]], bool]:
+    """Recognises a single file whose name in lower case fits one of the patterns."""
+    return lambda files: len(files) == 1 and any(fnmatch(files[0].name.lower(), one) for one in patterns)
+
+
 def attribute(element: Element, key: str, where: str) -> str:
     """An attribute of a calibration's XML; raises UserError where it is missing."""
     if (value := element.get(key)) is None:
@@ -114,9 +124,18 @@ def attribute(element: Element, key: str, where: str) -> str:
     return value
 
 
-def number_attribute(element: Element, key: str, where: str) -> float:
-    """``attribute`` as a number; raises ValueError for other text."""
-    return float(attribute(element, key, where))
+def number_attributes(
+    element: Element, keys: Iterable[str], where: str, default: str | None = None
+) -> Float[np.ndarray, " N"]:
+    """All numbers of some attributes, of each one or several; raises UserError for missing ones and other words."""
+    found: list[float] = []
+    for key in keys:
+        text = attribute(element, key, where) if default is None else element.get(key, default)
+        try:
+            found += [float(word) for word in text.split()]
+        except ValueError:
+            raise UserError(f"{where}: {key} is {short_text(text)}; it must hold numbers") from None
+    return np.array(found)
 
 
 def merged_static(cameras: Sequence[RawCamera], notes: list[str]) -> tuple[RawCamera, ...]:

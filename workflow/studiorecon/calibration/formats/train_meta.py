@@ -8,15 +8,11 @@ from pathlib import Path, PurePosixPath
 
 import numpy as np
 
-from studiorecon.calibration.formats.reading import CalibrationFormat, Reading, merged_static
+from studiorecon.calibration.formats.reading import CalibrationFormat, Reading, merged_static, one_file
 from studiorecon.camera_files.raw_camera import RawCamera, pose_rows, rigid_camera_from_world, unadjusted_intrinsics
 from studiorecon.errors import UserError
 from studiorecon.scene.user_files import read_json
 from studiorecon.scene.user_values import as_mapping, numbers
-
-
-def recognises(files: list[Path]) -> bool:
-    return len(files) == 1 and files[0].suffix == ".json" and files[0].stem.endswith("train_meta")
 
 
 def read(files: list[Path]) -> Reading:
@@ -39,16 +35,10 @@ def read(files: list[Path]) -> Reading:
             if inverted:
                 block = np.linalg.inv(np.vstack([block, [0, 0, 0, 1]]))[:3]
             height, width = content["hw"][index] if "hw" in content else (content["h"], content["w"])
-            cameras.append(
-                RawCamera(
-                    name=name,
-                    wh=(int(width), int(height)),
-                    intrinsics=unadjusted_intrinsics(k, where, integer_centres=False),
-                    model="opencv",
-                    distortion=np.zeros(8),
-                    camera_from_world=rigid_camera_from_world(block[:, :3], block[:, 3], where)[0],
-                )
-            )
+            intrinsics = unadjusted_intrinsics(k, where, integer_centres=False)
+            camera_from_world, _ = rigid_camera_from_world(block[:, :3], block[:, 3], where)
+            wh = int(width), int(height)
+            cameras.append(RawCamera(name, wh, intrinsics, "opencv", np.zeros(8), camera_from_world))
     kind = "MonoFusion Dy_train_meta.json" if "hw" in content else "Dynamic 3D Gaussians train_meta.json"
     static, named = merged_static(cameras, notes), "fn" in content
     if not named and len(static) < len({camera.name for camera in cameras}):
@@ -71,10 +61,10 @@ def _inverted(content: Mapping, name: str) -> tuple[bool, list[str]]:
 
 
 FORMAT = CalibrationFormat(
-    name="train_meta",
-    made_by="Dynamic 3D Gaussians, MonoFusion",
-    files_in_words="`train_meta.json`",
-    files=(("train_meta.json",), ("trajectory/Dy_train_meta.json",), ("Dy_train_meta.json",)),
-    recognises=recognises,
-    read=read,
+    "train_meta",
+    "Dynamic 3D Gaussians, MonoFusion",
+    "`train_meta.json`",
+    (("train_meta.json",), ("trajectory/Dy_train_meta.json",), ("Dy_train_meta.json",)),
+    one_file("*train_meta.json"),
+    read,
 )

@@ -17,7 +17,14 @@ from xml.etree.ElementTree import Element
 
 import numpy as np
 
-from studiorecon.calibration.formats.reading import CalibrationFormat, Reading, attribute, merged_static
+from studiorecon.calibration.formats.reading import (
+    CalibrationFormat,
+    Reading,
+    attribute,
+    merged_static,
+    number_attributes,
+    one_file,
+)
 from studiorecon.camera_files.raw_camera import RawCamera, camera_from_world_of_pose, intrinsics_matrix
 from studiorecon.errors import UserError
 from studiorecon.geometry.distortion import distort
@@ -29,10 +36,6 @@ _SQUARE = 0.001
 _SAMPLES = 41
 # Largest error of the lens after conversion to OpenCV's model.
 _MAX_LEFT_PX = 0.5
-
-
-def recognises(files: list[Path]) -> bool:
-    return len(files) == 1 and files[0].suffix.lower() == ".xcp"
 
 
 def read(files: list[Path]) -> Reading:
@@ -81,14 +84,9 @@ def _camera(name: str, element: Element, frame: Element, where: str, notes: list
         )
     if terms.any():
         notes.append(f"camera {name}: Vicon's lens was written in OpenCV's numbers, within {left_px:.2g} px")
-    return RawCamera(
-        name=name,
-        wh=(width, height),
-        intrinsics=intrinsics_matrix(focal, focal, principal[0], principal[1], integer_centres=True),
-        model="opencv",
-        distortion=distortion,
-        camera_from_world=camera_from_world_of_pose(world_from_camera, where),
-    )
+    intrinsics = intrinsics_matrix(focal, focal, principal[0], principal[1], integer_centres=True)
+    pose = camera_from_world_of_pose(world_from_camera, where)
+    return RawCamera(name, (width, height), intrinsics, "opencv", distortion, pose)
 
 
 def _opencv_lens(
@@ -127,21 +125,13 @@ def _opencv_lens(
         return found, float(np.abs(distort(ideal, "opencv", found) - wanted).max() * focal)
 
 
-def _numbers(element: Element, attribute: str, count: int, where: str, default: str | None = None) -> np.ndarray:
-    text = element.get(attribute, default)
-    if text is None:
-        raise UserError(f"{where}: {attribute} is missing; calibrate this camera again in Vicon's program")
-    values = np.array([float(v) for v in text.split()])
+def _numbers(element: Element, key: str, count: int, where: str, default: str | None = None) -> np.ndarray:
+    values = number_attributes(element, [key], where, default)
     if len(values) != count or not np.isfinite(values).all():
-        raise UserError(f"{where}: {attribute} is {short_text(text)}; {count} numbers are expected")
+        raise UserError(f"{where}: {key} is {short_text(element.get(key))}; {count} numbers are expected")
     return values
 
 
 FORMAT = CalibrationFormat(
-    name="vicon",
-    made_by="Vicon Nexus, Shogun, Tracker",
-    files_in_words="`*.xcp`",
-    files=(("*.xcp",), ("calibration/*.xcp",)),
-    recognises=recognises,
-    read=read,
+    "vicon", "Vicon Nexus, Shogun, Tracker", "`*.xcp`", (("*.xcp",), ("calibration/*.xcp",)), one_file("*.xcp"), read
 )

@@ -6,14 +6,10 @@ from __future__ import annotations
 from pathlib import Path, PurePosixPath
 
 from studiorecon.calibration.formats.pickles import read_pickle
-from studiorecon.calibration.formats.reading import CalibrationFormat, Reading
+from studiorecon.calibration.formats.reading import CalibrationFormat, Reading, one_file
 from studiorecon.camera_files.lens_kinds import coefficients
 from studiorecon.camera_files.raw_camera import RawCamera, rigid_camera_from_world, unadjusted_intrinsics
 from studiorecon.errors import UserError
-
-
-def recognises(files: list[Path]) -> bool:
-    return len(files) == 1 and files[0].name == "annots.npy"
 
 
 def read(files: list[Path]) -> Reading:
@@ -32,24 +28,11 @@ def read(files: list[Path]) -> Reading:
     for index in range(count):
         name = folders[index] if named else str(index)
         where = f"camera {name} in {path}"
-        cameras.append(
-            RawCamera(
-                name=name,
-                wh=(0, 0),
-                intrinsics=unadjusted_intrinsics(cams["K"][index], where),
-                model="opencv",
-                distortion=coefficients("opencv", cams["D"][index] if "D" in cams else [], where),
-                camera_from_world=rigid_camera_from_world(cams["R"][index], cams["T"][index], where)[0],
-            )
-        )
+        intrinsics = unadjusted_intrinsics(cams["K"][index], where)
+        distortion = coefficients("opencv", cams["D"][index] if "D" in cams else [], where)
+        pose, _ = rigid_camera_from_world(cams["R"][index], cams["T"][index], where)
+        cameras.append(RawCamera(name, (0, 0), intrinsics, "opencv", distortion, pose))
     return Reading("ZJU-MoCap annots.npy", tuple(cameras), "mm", (), named=named)
 
 
-FORMAT = CalibrationFormat(
-    name="zju",
-    made_by="ZJU-MoCap",
-    files_in_words="`annots.npy`",
-    files=(("annots.npy",),),
-    recognises=recognises,
-    read=read,
-)
+FORMAT = CalibrationFormat("zju", "ZJU-MoCap", "`annots.npy`", (("annots.npy",),), one_file("annots.npy"), read)
