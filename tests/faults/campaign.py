@@ -82,7 +82,10 @@ _POSE = "(sign|order|zero|byte order|frozen|late|cast)"
 FREE: dict[str, tuple[Callable[[Any, Any], bool], tuple[str, ...]]] = {
     "a detector may see nobody, or fewer; the step says where a film has nobody": (
         fewer,
-        (rf"{_KEYPOINTS}: (file: gone|place: a folder|type|count|doubled|frozen|missing) at [^.]*(\.\d+)?(\..*)?",),
+        (
+            rf"{_KEYPOINTS}: (file: gone|place: a folder|type|count|doubled|frozen|missing) at [^.]*(\.\d+)?(\..*)?",
+            rf"{_LISTED}: zero at .*\d.*",
+        ),
     ),
     "other numbers of one person in one picture, or an unseen one": (
         one_person,

@@ -171,6 +171,18 @@ def _deep(value: Any) -> Any:
     return value
 
 
+def _cast(values: np.ndarray) -> np.ndarray:
+    with np.errstate(invalid="ignore"):  # of no number
+        return values.astype(np.int64)
+
+
+def _with_last_row(values: np.ndarray) -> np.ndarray:
+    """A pose with a last row that scales it."""
+    if values.shape != (3, 4):
+        raise Skip
+    return np.vstack([values, [0, 0, 0, 2]])
+
+
 def _bare(value: Any) -> Any:
     """A matrix without its header: its numbers alone."""
     if not isinstance(value, dict) or "data" not in value:
@@ -213,9 +225,10 @@ FIELD: dict[str, Callable[[Any], Any]] = {
     "endless": _first(10**400),
     "deep": _deep,
     "zero": _numbers(lambda values: values * 0),
-    "cast": _numbers(_floats_only(lambda values: values.astype(np.int64))),
+    "cast": _numbers(_floats_only(_cast)),
     "complex": _numbers(_floats_only(lambda values: values + 0j)),
     "bare": _bare,
+    "last row": _numbers(_with_last_row),
     "byte order": _numbers(lambda values: values.byteswap()),
     "frozen": _rows(_frozen),
     "late": _rows(lambda rows: [*rows[-1:], *rows[:-1]] if isinstance(rows, list) else np.roll(rows, 1, axis=0)),

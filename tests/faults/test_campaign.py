@@ -5,11 +5,12 @@ that can be known."""
 from __future__ import annotations
 
 import mmap
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
-from studiorecon.camera_files.raw_camera import check_focal_px
+from studiorecon.camera_files.raw_camera import RawCamera, check_camera, check_focal_px
 from studiorecon.errors import UserError
 from studiorecon.plan.discovery import open_dataset
 from studiorecon.scene.capture_yaml import read_description
@@ -121,6 +122,13 @@ def test_a_focal_length_of_no_lens_is_refused_and_one_within_the_named_range_is_
     with pytest.raises(UserError, match=r"900000; for pictures of 1920×1080 it must be from 172\.8 to 192000 pixels"):
         check_focal_px({"a": 900_000.0}, {"a": (1920, 1080), "b": (1920, 1080)})
     assert check_focal_px({"a": 900.0}, {"a": (1920, 1080)}) == {"a": 900.0}
+
+
+def test_focal_lengths_that_no_square_pixels_have_are_named() -> None:
+    lens = RawCamera("a", (1920, 1080), np.diag([2000.0, 1000.0, 1.0]), "opencv", np.zeros(8), np.eye(4))
+    centred = replace(lens, intrinsics=lens.intrinsics + np.array([[0, 0, 960], [0, 0, 540], [0, 0, 0]]))
+    (note,) = check_camera("a", centred, "a.toml")[1]
+    assert "fx 2000 and fy 1000 mean pixels 2 times as high as wide" in note
 
 
 def test_packed_films_are_named(tmp_path: Path) -> None:

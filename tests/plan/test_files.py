@@ -91,6 +91,8 @@ def test_what_was_made_elsewhere_is_found_by_its_name(configured, home, tmp_path
     for camera in ("left", "right", "back"):
         (tmp_path / f"depth/{camera}.npy").touch()
     assert files_of(config, home).estimated_depth(Wildcards(camera="left")) == [f"local:{tmp_path}/depth/left.npy"]
+    with pytest.raises(UserError, match=r"masks.precomputed is 'mine', but masks.source is embedded"):
+        files_of(configured(masks={"precomputed": "mine"}), home)
     own = files_of(configured(depth={"source": "moge"}), home)
     assert own.estimated_depth(Wildcards(scene="s", camera="right")) == ["results/s/depth/right.estimate.exr"]
 
