@@ -16,19 +16,8 @@ from typing import Any
 import numpy as np
 
 from studiorecon.errors import UserError
-from studiorecon.scene.user_files import read_json, read_rows
-
-__all__ = [
-    "atomic_path",
-    "read_json",
-    "read_table",
-    "remove_remains",
-    "require_one_each",
-    "write_json",
-    "write_npz",
-    "write_table",
-    "write_text",
-]
+from studiorecon.scene.user_files import read_json as read_json
+from studiorecon.scene.user_files import read_rows
 
 
 def require_one_each(cameras: Sequence[object], **files: Sequence[object]) -> None:
