@@ -136,3 +136,14 @@ def test_a_film_is_turned_for_people_who_move_and_not_for_its_furniture(moved: f
     picture[30, 50], picture[70, 60] = 255, 200
     apart = [np.full((120, 200), moved).T] * 3
     assert quarter_turns(Fair(), [np.rot90(picture, 3)] * 3, apart, 1.0)[0] == turns  # type: ignore[arg-type]
+
+
+def test_somebody_who_leans_by_fifty_degrees_does_not_turn_the_film() -> None:
+    class OfAll(OfTheUpright):
+        def look(self, picture: np.ndarray, region: Region) -> Landmarks:
+            return replace(super().look(picture, region), presence=1.0)
+
+    picture = np.zeros((200, 200, 3), np.uint8)
+    picture[round(100 - 40 * np.cos(0.87)), round(100 - 40 * np.sin(0.87))], picture[100, 100] = 255, 200
+    moved = [np.full((200, 200), 20.0)] * 3
+    assert quarter_turns(OfAll(), [picture] * 3, moved, 1.0)[0] == 0  # type: ignore[arg-type]
