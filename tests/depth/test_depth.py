@@ -40,7 +40,7 @@ THIN = {
 }
 # Furniture where a test asks for it.
 THIN |= {"primitives": 0}
-FURNISHED = THIN | {"primitives": 3, "primitives_width": 96, "primitives_gain": 20.0}
+FURNISHED = THIN | {"primitives": 3, "primitives_width": 96, "primitives_price": 5.6}
 
 
 @dataclass(frozen=True)
@@ -244,7 +244,7 @@ def test_sweeps_of_other_settings_are_refused_until_all_are_made_again(tmp_path:
 
     def made(path: Path, offset_m: float) -> None:
         one = {"planes": np.array([[0, 0, 1.0, offset_m]]), "chosen": np.zeros((5, 7), np.int16), "floor_m": 0.0}
-        write_npz(path, one | {"cost": np.zeros((5, 7)), "confident": np.ones((5, 7), bool), "yaw_rad": 0.0,
+        write_npz(path, one | {"confident": np.ones((5, 7), bool), "yaw_rad": 0.0,
                                "gains": np.ones((2, 3))})  # fmt: skip
 
     for k, path in enumerate(files):

@@ -13,8 +13,8 @@ import numpy as np
 
 from studiorecon.camera_files.colmap import read_model
 from studiorecon.depth.layout import box as room
+from studiorecon.depth.layout.floor import RaisedFloor, fit_platform
 from studiorecon.depth.layout.ground_contacts import find_ground_contacts
-from studiorecon.depth.layout.platform import RaisedFloor, fit_platform
 from studiorecon.depth.layout.unseen_walls import find_floor_ends, place_unseen_walls
 from studiorecon.depth.layout.votes import Votes, read_sweeps
 from studiorecon.depth.stereo.plates import Picture, equalise_exposure, read_pictures
@@ -65,14 +65,13 @@ def fit_room_box(pictures: list[Picture], votes: Votes, yaw_rad: float, floor_m:
     walls = {face: offset for face in range(4) if (offset := found(face, settings.wall_clearance_m)) is not None}
     turn, turned = 0.0, {face: np.array([*start.axes[face // 2], offset]) for face, offset in walls.items()}
     # Every pixel on a wall takes part, not only its voters: those were chosen by the yaw that is to be tested.
-    looks = [p.textured(settings.window) & p.known for p in pictures]
     for span_rad, step_rad in _YAW_SEARCH_RAD:
         far_m = centres.min(0) - settings.far_m, centres.max(0) + settings.far_m
         box = replace(start, yaw_rad=yaw_rad + turn, low_m=far_m[0], high_m=far_m[1])
         for face, plane in turned.items():
             (box.low_m, box.high_m)[face % 2][face // 2] = plane[3]
         faces = [box.intersect(*p.camera.rays())[1] for p in pictures]
-        pixels = {face: [m & (at == face) for m, at in zip(looks, faces)] for face in turned}
+        pixels = {face: [p.known & (at == face) for p, at in zip(pictures, faces)] for face in turned}
         turn += room.refine_yaw(pictures, [(turned[face], pixels[face]) for face in turned], span_rad, step_rad, how)
         # A wall turns about its visible part: about the world's origin, which may be far away, it would move.
         for face, normal in ((face, replace(start, yaw_rad=yaw_rad + turn).axes[face // 2]) for face in turned):

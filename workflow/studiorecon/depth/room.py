@@ -31,7 +31,7 @@ from studiorecon.signature import Written
 
 @dataclass(frozen=True)
 class Settings(Comparison, FirstLook):
-    """Size in pixels of the pictures for the furniture's fit, and the least gain of a primitive."""
+    """Size in pixels of the pictures for the furniture's fit, and the price of a primitive in nats."""
 
     primitives: int = setting(
         40,
@@ -42,7 +42,7 @@ class Settings(Comparison, FirstLook):
         paper_value=0,
     )
     primitives_width: int = 160
-    primitives_gain: float = 40.0
+    primitives_price: float = 11.0
 
 
 def run(
@@ -74,7 +74,7 @@ def run(
             free_m,
             window=settings.refine_window,
             mean_weight=settings.mean_weight,
-            least_gain=settings.primitives_gain,
+            price=settings.primitives_price,
             most=settings.primitives,
         )
         say(f"{len(furniture)} boxes added to walls and floor")

@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """The first pass of one camera: the plane of the whole catalogue that best explains each pixel.
 
-Writes ``depth/<camera>.sweep.npz``: planes (L, 4) and the (H, W) index of each pixel's plane, its cost, whether the
+Writes ``depth/<camera>.sweep.npz``: planes (L, 4) and the (H, W) index of each pixel's plane, its nats, whether the
 pixel is confident, and values common to the scene: floor height, wall yaw, exposure gains.
 """
 
@@ -17,7 +17,7 @@ from studiorecon.camera_files.colmap import camera_named, read_model
 from studiorecon.configuration.setting import setting
 from studiorecon.depth.layout.yaw import match_yaw
 from studiorecon.depth.stereo.labelling import label_planes
-from studiorecon.depth.stereo.matching import UNKNOWN
+from studiorecon.depth.stereo.likelihood import CONFIDENT, UNKNOWN, nats_of_score
 from studiorecon.depth.stereo.planes import plane_hypotheses, rig_centre, wall_yaw
 from studiorecon.depth.stereo.plates import Picture, equalise_exposure, floor_and_gains, read_pictures
 from studiorecon.depth.sweep_settings import FirstLook, Matching
@@ -28,11 +28,8 @@ from studiorecon.signature import Written
 if TYPE_CHECKING:
     from jaxtyping import Float
 
-# Cost of a plane where no other camera can judge it, or out of range.
-UNJUDGED = 0.75
-IMPOSSIBLE = 2.0
-# A pixel votes for its plane when the plane's cost is below this.
-CONFIDENT = 0.35
+# Nats of a plane that a pixel's ray does not meet: more than any other's.
+_NOT_MET = 9.0
 # Least share of line length that must agree on a yaw; evenly spread lines give 0.03.
 _MIN_YAW_SUPPORT = 0.12
 
@@ -41,7 +38,7 @@ _MIN_YAW_SUPPORT = 0.12
 class Settings(Matching, FirstLook):
     """The planes: up to ``furniture_m``, in the range ``ceiling_m``, and walls up to ``reach_m`` from the centre.
 
-    ``sweep_penalty`` is the cost of a change of plane between neighbouring pixels.
+    ``sweep_penalty`` is the price in nats of a change of plane between neighbouring pixels.
     """
 
     horizontal_step_m: float = setting(
@@ -59,19 +56,19 @@ class Settings(Matching, FirstLook):
     furniture_m: float = 1.3
     ceiling_m: tuple[float, float] = (2.2, 3.2)
     reach_m: float = 10.0
-    sweep_penalty: float = 0.6
+    sweep_penalty: float = 4.2
 
 
-def best_costs(
+def nats_of_planes(
     pictures: list[Picture], index: int, planes: Float[np.ndarray, "L 4"], settings: Settings
 ) -> Float[np.ndarray, "H W L"]:
-    """Float32 cost of every plane in one picture: 1 - agreement with the camera that agrees best.
+    """Float32 nats of every plane in one picture by the camera that agrees best.
 
     Best, not mean: most surfaces are hidden from most cameras, and one that truly sees the surface is enough.
     """
     picture = pictures[index]
     others = [p for i, p in enumerate(pictures) if i != index]
-    cost = np.full((*picture.known.shape, len(planes)), IMPOSSIBLE, np.float32)
+    nats = np.full((*picture.known.shape, len(planes)), _NOT_MET, np.float32)
     for k, plane in enumerate(progress(planes, f"planes seen by {picture.camera.name}")):
         seen = picture.depth(plane, settings.near_m, settings.far_m) > 0
         best = np.full(picture.known.shape, UNKNOWN, np.float32)
@@ -80,8 +77,8 @@ def best_costs(
                 best,
                 picture.score(other, plane, settings.window, settings.mean_weight, settings.near_m, settings.far_m),
             )
-        cost[..., k] = np.where(seen, np.where(best > UNKNOWN, np.clip(1 - best, 0, 1.2), UNJUDGED), IMPOSSIBLE)
-    return cost
+        nats[..., k] = np.where(seen, nats_of_score(best), _NOT_MET)
+    return nats
 
 
 def run(settings: Settings, camera: str, model: Path, plates: list[Path], sweep: Written) -> None:
@@ -116,17 +113,16 @@ def run(settings: Settings, camera: str, model: Path, plates: list[Path], sweep:
         ceiling_m=settings.ceiling_m,
         reach_m=settings.reach_m,
     )
-    cost = best_costs(pictures, index, planes, settings)
-    chosen = label_planes(cost, pictures[index].rgb, settings.sweep_penalty)
-    chosen_cost = np.take_along_axis(cost, chosen[..., None], axis=-1)[..., 0]
-    confident = (chosen_cost < CONFIDENT) & pictures[index].known & pictures[index].textured(settings.window)
+    nats = nats_of_planes(pictures, index, planes, settings)
+    chosen = label_planes(nats, pictures[index].rgb, settings.sweep_penalty)
+    chosen_nats = np.take_along_axis(nats, chosen[..., None], axis=-1)[..., 0]
+    confident = (chosen_nats < CONFIDENT) & pictures[index].known
     say(f"{camera}: {confident.mean():.0%} of the pixels match one of {len(planes)} planes")
     write_npz(
         sweep,
         {
             "planes": planes,
             "chosen": chosen.astype(np.int16),
-            "cost": chosen_cost,
             "confident": confident,
             "floor_m": floor_m,
             "yaw_rad": yaw_rad,

@@ -10,13 +10,12 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from studiorecon.depth.layout.votes import Votes
+from studiorecon.depth.stereo.likelihood import EVEN_SCORE, nats_of_score
 from studiorecon.depth.stereo.plates import Picture
 
 if TYPE_CHECKING:
     from jaxtyping import Bool, Float, Integer
 
-# Lower scores belong to other surfaces and would bias the mean that places a plane.
-_SAME_SURFACE = 0.2
 _MIN_VOTERS = 30
 # Walls with this share of the best one's votes are its rivals; the window that decides is a tenth of the picture's
 # width.
@@ -39,19 +38,22 @@ def plane_support(
     voters: Sequence[Bool[np.ndarray, "H W"]],
     plane: Float[np.ndarray, " 4"],
     how: Matching,
-) -> tuple[float, int]:
-    """Mean score of a plane over the pixels that voted for it (all pairs that see it), and number of comparisons."""
-    total, count = 0.0, 0
+) -> tuple[float, float]:
+    """Nats by which a plane explains its voters in all pairs that see it, and the mean score of those that agree.
+
+    A pair that disagrees counts as hidden.
+    """
+    scores = [np.zeros(0, np.float32)]
     for i, picture in enumerate(pictures):
-        if voters[i].sum() < _MIN_VOTERS:
-            continue
-        for j, other in enumerate(pictures):
-            if i == j:
-                continue
-            score = picture.score(other, plane, how.window, how.mean_weight, how.near_m, how.far_m)[voters[i]]
-            score = score[score > _SAME_SURFACE]
-            total, count = total + float(score.sum(dtype=np.float64)), count + len(score)
-    return total / max(count, 1), count
+        if voters[i].sum() >= _MIN_VOTERS:
+            scores += [
+                picture.score(other, plane, how.window, how.mean_weight, how.near_m, how.far_m)[voters[i]]
+                for j, other in enumerate(pictures)
+                if j != i
+            ]
+    every = np.concatenate(scores)
+    agreed = every[every > EVEN_SCORE]
+    return -float(nats_of_score(agreed).sum(dtype=np.float64)), float(agreed.mean()) if len(agreed) else float("nan")
 
 
 def place_plane(
@@ -63,21 +65,19 @@ def place_plane(
     step_m: float,
     how: Matching,
 ) -> tuple[float, float]:
-    """The offset near ``offset`` at which the voters' pictures agree best (parabola through three), and its score."""
+    """The likeliest offset near ``offset`` (parabola through three), and the score there; NaN without voters."""
     tried = offset + np.arange(-round(span_m / step_m), round(span_m / step_m) + 1) * step_m
     support = [plane_support(pictures, voters, np.array([*normal, o]), how) for o in tried]
-    # Comparisons are lost at a wrong offset, so the mean alone would reward a plane that few pixels still match.
-    most = max(count for _, count in support)
-    if most < _MIN_VOTERS:
-        return offset, float("nan")
-    value = np.array([mean * np.sqrt(count / most) for mean, count in support])
+    value = np.array([nats for nats, _ in support])
     best = int(value.argmax())
+    if not value[best]:
+        return offset, float("nan")
     shift = 0.0
     if 0 < best < len(value) - 1:
         before, at, after = value[best - 1 : best + 2]
         bend = before - 2 * at + after
         shift = 0.5 * (before - after) / bend if bend < 0 else 0.0
-    return float(tried[best] + shift * step_m), float(support[best][0])
+    return float(tried[best] + shift * step_m), support[best][1]
 
 
 def offset_of_turned_plane(
@@ -155,7 +155,7 @@ def choose_face_offset(
                 for j, o in enumerate(pictures)
                 if j != i
             ]
-            total += float(np.clip(np.max(others, axis=0)[pixels[i]], 0, 1).sum(dtype=np.float64))
+            total -= float(np.minimum(nats_of_score(np.max(others, axis=0)[pixels[i]]), 0).sum(dtype=np.float64))
         explained.append(total)
     return offsets[int(np.argmax(explained))]
 
@@ -174,13 +174,9 @@ def refine_yaw(
     turns = np.arange(-round(span_rad / step_rad), round(span_rad / step_rad) + 1) * step_rad
     value = np.zeros(len(turns))
     for plane, pixels in walls:
-        if sum(int(p.sum()) for p in pixels) < _MIN_VOTERS:
-            continue
         for k, turn in enumerate(turns):
             c, s = np.cos(turn), np.sin(turn)
             turned = np.array([c * plane[0] - s * plane[1], s * plane[0] + c * plane[1], 0.0])
-            mean, count = plane_support(
-                pictures, pixels, np.array([*turned, offset_of_turned_plane(pictures, pixels, plane, turned, how)]), how
-            )
-            value[k] += mean * count
+            offset = offset_of_turned_plane(pictures, pixels, plane, turned, how)
+            value[k] += plane_support(pictures, pixels, np.array([*turned, offset]), how)[0]
     return float(turns[int(value.argmax())]) if value.any() else 0.0

@@ -5,10 +5,11 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
+from functools import cache
 
 import numpy as np
 
-from studiorecon.depth.stereo.planes import rig_centre
+from studiorecon.depth.stereo.likelihood import CONFIDENT, nats_of_score
 from studiorecon.depth.stereo.plates import Picture
 from studiorecon.footage.stills import shrink_plate
 
@@ -16,8 +17,6 @@ from studiorecon.footage.stills import shrink_plate
 _WIDTH = 96
 _WINDOW = 7
 _OFFSET_STEP_M = 0.25
-# Score above which a pixel counts as a match; chance matches of a coarse picture reach a little less.
-_SPEAKS = 0.7
 _COARSE_RAD, _FINE_RAD = np.radians(7.5), np.radians(1.5)
 
 
@@ -29,28 +28,20 @@ def match_yaw(pictures: Sequence[Picture], floor_m: float, reach_m: float, near_
     if sum(bool(picture.known.any()) for picture in pictures) < 2:
         return 0.0
     small = [_shrink(picture) for picture in pictures]
-    floor = np.array([0.0, 0.0, 1.0, floor_m])
-    floor_scores = [_best_score(small, i, floor, near_m, far_m) for i in range(len(small))]
-    explained: dict[int, list[np.ndarray]] = {}
+    floor = [_nats(small, i, np.array([0.0, 0.0, 1.0, floor_m]), near_m, far_m) for i in range(len(small))]
+
+    @cache
+    def walls(half_degrees: int) -> list[np.ndarray]:
+        return _nats_of_walls(small, np.radians(half_degrees / 2), reach_m, near_m, far_m)
 
     def support(yaw_rad: float) -> float:
-        total = 0.0
-        walls = []
-        for turn in (0.0, np.pi / 2):
-            key = round(np.degrees((yaw_rad + turn) % np.pi) * 2)
-            if key not in explained:
-                explained[key] = _best_agreement(small, np.radians(key / 2), reach_m, near_m, far_m)
-            walls.append(explained[key])
-        for one, across, below in zip(*walls, floor_scores):
-            # Only pixels that the floor does not explain as well.
-            best = np.maximum(one, across)
-            total += float(np.clip(best - np.maximum(below, _SPEAKS), 0, None).sum(dtype=np.float64))
-        return total
+        along, across = (walls(round(np.degrees((yaw_rad + turn) % np.pi) * 2)) for turn in (0.0, np.pi / 2))
+        # Only pixels that the floor does not explain as well.
+        gains = (np.minimum(f, CONFIDENT) - np.minimum(one, other) for f, one, other in zip(floor, along, across))
+        return sum(float(np.maximum(gain, 0).sum(dtype=np.float64)) for gain in gains)
 
-    coarse = np.arange(0.0, np.pi / 2 - 1e-9, _COARSE_RAD)
-    start = max(coarse, key=support)
-    near = start + np.arange(-3, 4) * _FINE_RAD
-    best = max(near, key=support)
+    start = max(np.arange(0.0, np.pi / 2 - 1e-9, _COARSE_RAD), key=support)
+    best = max(start + np.arange(-3, 4) * _FINE_RAD, key=support)
     return float(best % (np.pi / 2)) if support(best) > 0 else 0.0
 
 
@@ -62,26 +53,22 @@ def _shrink(picture: Picture) -> Picture:
     return replace(picture, camera=picture.camera.resized(wh), rgb=np.ascontiguousarray(rgb, np.float32), known=known)
 
 
-def _best_score(pictures: Sequence[Picture], index: int, plane: np.ndarray, near_m: float, far_m: float) -> np.ndarray:
-    """(H, W) best agreement of one picture with any other through a plane; -1 for none."""
-    scores = [
-        pictures[index].score(o, plane, _WINDOW, 1.0, near_m, far_m) for j, o in enumerate(pictures) if j != index
-    ]
-    return np.maximum(np.max(scores, axis=0), -1) if scores else np.full(pictures[index].known.shape, -1, np.float32)
+def _nats(pictures: Sequence[Picture], index: int, plane: np.ndarray, near_m: float, far_m: float) -> np.ndarray:
+    """(H, W) nats of a plane in one picture by the other that agrees best."""
+    others = [other for j, other in enumerate(pictures) if j != index]
+    return nats_of_score(np.max([pictures[index].score(o, plane, _WINDOW, 1.0, near_m, far_m) for o in others], axis=0))
 
 
-def _best_agreement(
+def _nats_of_walls(
     pictures: Sequence[Picture], yaw_rad: float, reach_m: float, near_m: float, far_m: float
 ) -> list[np.ndarray]:
-    """Per picture (H, W) best agreement through any upright plane with this normal outside the cameras."""
+    """Per picture (H, W) least nats of any upright plane with this normal outside the cameras."""
     normal = np.array([np.cos(yaw_rad), np.sin(yaw_rad), 0.0])
-    middle = normal @ rig_centre([p.camera for p in pictures])
     along = np.array([normal @ p.camera.centre_m for p in pictures])
-    offsets = middle + np.arange(-reach_m, reach_m + 1e-9, _OFFSET_STEP_M)
+    offsets = along.mean() + np.arange(-reach_m, reach_m + 1e-9, _OFFSET_STEP_M)
     # Walls are outside the cameras; planes between them are furniture and would only add chance matches.
-    offsets = offsets[(offsets > along.max()) | (offsets < along.min())]
-    best = [np.full(p.known.shape, -1, np.float32) for p in pictures]
-    for offset in offsets:
+    best = [np.zeros(p.known.shape, np.float32) for p in pictures]
+    for offset in offsets[(offsets > along.max()) | (offsets < along.min())]:
         plane = np.array([*normal, offset])
-        best = [np.maximum(b, _best_score(pictures, i, plane, near_m, far_m)) for i, b in enumerate(best)]
+        best = [np.minimum(b, _nats(pictures, i, plane, near_m, far_m)) for i, b in enumerate(best)]
     return best

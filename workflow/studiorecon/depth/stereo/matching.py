@@ -11,19 +11,14 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numba import njit
 
+from studiorecon.depth.stereo.likelihood import UNKNOWN, score_of_window
 from studiorecon.scene.camera import Camera
 
 if TYPE_CHECKING:
     from jaxtyping import Bool, Float
 
-# Variance (summed over channels) below which a window counts as flat: flat windows always correlate, so the means
-# decide.
-_FLAT_VARIANCE = 4e-4
 # Least share of the window that both cameras must see.
 _MIN_SHARE = 0.35
-# Limit of the mean difference's part in the score: beyond it the windows differ anyway.
-_MAX_DIFFERENCE = 0.6
-UNKNOWN = np.float32(-9)
 
 
 def plane_inverse_depth(camera: Camera, plane: Float[np.ndarray, " 4"]) -> Float[np.ndarray, " 3"] | None:
@@ -172,5 +167,4 @@ def _correlate(a, a_known, b, b_known, h, inverse, half, mean_weight, near_m, fa
                 vb -= mb * mb
                 cov -= ma * mb
                 difference += abs(ma - mb)
-            spread = np.sqrt((max(va, np.float32(0)) + _FLAT_VARIANCE) * (max(vb, np.float32(0)) + _FLAT_VARIANCE))
-            score[y, x + left] = (cov + _FLAT_VARIANCE) / spread - mean_weight * min(difference, _MAX_DIFFERENCE)
+            score[y, x + left] = score_of_window(va, vb, cov, difference, mean_weight)

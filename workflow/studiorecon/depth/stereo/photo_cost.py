@@ -25,26 +25,19 @@ from studiorecon.scene.room import RoomBox
 if TYPE_CHECKING:
     from jaxtyping import Bool, Float, Integer
 
-# Another camera confirms a surface below this cost. At it, a tenth of a made room's pixels are more than 5 % off
-# (2 % at 0.3, a quarter at 0.8).
-MAX_CONFIRMED_COST = 0.5
-# Pixels that show a real object cost less than before by a tenth at least in rooms whose tables match worst; by
-# nothing, on ten thousand pixels, in a real room whose floor is lower than assumed.
-_MIN_BETTER = 0.05
-
 
 @dataclass(frozen=True)
 class Surface:
-    """Any surface in one picture: depth (0 = none), its cost by photos, and where another camera compares it."""
+    """Any surface in one picture: depth (0 = none), its nats by photos, and where another camera compares it."""
 
     depth_m: Float[np.ndarray, "H W"]
-    cost: Float[np.ndarray, "H W"]
+    nats: Float[np.ndarray, "H W"]
     compared: Bool[np.ndarray, "H W"]
 
     @property
     def confirmed(self) -> Bool[np.ndarray, "H W"]:
-        """Pixels that another camera confirms."""
-        return self.compared & (self.cost < MAX_CONFIRMED_COST)
+        """Pixels where another camera makes the surface likelier than any other."""
+        return self.compared & (self.nats < 0)
 
 
 @dataclass
@@ -55,16 +48,15 @@ class PhotoCostVolume:
         lens: focal lengths and principal point, pixels. pose: camera_from_world. centre: (V, 3)
             metres.
         rgb, known: the photos. depth: z-depth of the explaining surface, metres. surface: its number.
-        pair: cost of the surface in another camera, -1 where they cannot be compared.
+        pair: nats of the surface in another camera, ``NOT_JUDGED`` where they cannot be compared.
         at, z: (V, V, H, W) flat pixel in the other camera, and depth there.
         begin, dependents: (V, H W + 1) and (V, V H W): the pixels whose cost depends on each pixel
             (``kernels.invert_visibility``).
-        cost: cost of every pixel; 0 where the photo is not known.
+        nats: of every pixel; 0 where no other camera judges it.
         view_count: number of other cameras that see its surface.
         half, mean_weight: half a window in pixels, weight of a difference of means.
-        floor_m: height of the floor.
         empty_room: depth and surface of the room box alone.
-        foreground_log_odds: ``self_dissimilarity.foreground_log_odds`` of the room box alone.
+        foreground: ``self_dissimilarity.foreground_log_odds`` of the room box alone.
         primitives: those added so far.
     """
 
@@ -80,13 +72,12 @@ class PhotoCostVolume:
     z: Float[np.ndarray, "V V H W"]
     begin: Integer[np.ndarray, "V S"]
     dependents: Integer[np.ndarray, "V T"]
-    cost: Float[np.ndarray, "V H W"]
+    nats: Float[np.ndarray, "V H W"]
     view_count: Integer[np.ndarray, "V H W"]
     half: int
     mean_weight: float
-    floor_m: float
     empty_room: tuple[Float[np.ndarray, "V H W"], Integer[np.ndarray, "V H W"]]
-    foreground_log_odds: Float[np.ndarray, "V H W"]
+    foreground: Float[np.ndarray, "V H W"]
     primitives: Float[np.ndarray, "K 7"]
 
     @staticmethod
@@ -110,7 +101,7 @@ class PhotoCostVolume:
             np.stack([p.camera.centre_m for p in pictures]),
         )
         pair, at, z = (np.zeros((count, *shape), kind) for kind in (np.float32, np.int32, np.float32))
-        cost, view_count, odds = (np.zeros(shape, kind) for kind in (np.float32, np.uint8, np.float32))
+        nats, view_count, odds = (np.zeros(shape, kind) for kind in (np.float32, np.uint8, np.float32))
         empty_room = depth_m.copy(), surface.copy()
         room = PhotoCostVolume(
             lens,
@@ -125,27 +116,26 @@ class PhotoCostVolume:
             z,
             np.zeros((count, 1), np.int64),
             np.zeros((count, 0), np.int32),
-            cost,
+            nats,
             view_count,
             window // 2,
             mean_weight,
-            float(room_box.low_m[2]),
             empty_room,
             odds,
             np.zeros((0, 7)),
         )
         room.replace_all(room.primitives)
         if looks:
-            for own, unlike in zip(room.foreground_log_odds, foreground_log_odds(pictures, room_box)):
+            for own, unlike in zip(room.foreground, foreground_log_odds(pictures, room_box)):
                 own[: unlike.shape[0], : unlike.shape[1]] = unlike
         return room
 
     def nearest(self, view: int, hw: tuple[int, int]) -> tuple[Surface, Integer[np.ndarray, "h w"]]:
         """The surfaces that one view of ``hw`` pixels sees, and their numbers."""
-        depth_m, cost, view_count, number = (
-            a[view, : hw[0], : hw[1]].copy() for a in (self.depth, self.cost, self.view_count, self.surface)
+        depth_m, nats, view_count, number = (
+            a[view, : hw[0], : hw[1]].copy() for a in (self.depth, self.nats, self.view_count, self.surface)
         )
-        return Surface(depth_m, cost, view_count > 0), number
+        return Surface(depth_m, nats, view_count > 0), number
 
     def of_depth(self, view: int, depth_m: Float[np.ndarray, "h w"]) -> Surface:
         """Any depth map of one view, compared by the others where their own surfaces do not hide it."""
@@ -154,30 +144,17 @@ class PhotoCostVolume:
         depth[view] = 0
         depth[view, :rows, :columns] = depth_m
         known = self.known & (depth > 0)
-        pair, at, z, cost, view_count = (
-            np.zeros_like(a) for a in (self.pair, self.at, self.z, self.cost, self.view_count)
+        pair, at, z, nats, view_count = (
+            np.zeros_like(a) for a in (self.pair, self.at, self.z, self.nats, self.view_count)
         )
         surface, how = np.zeros_like(self.surface), (self.half, self.mean_weight)
         explain_all(
-            self.lens, self.pose, self.centre, self.rgb, known, depth, surface, pair, at, z, cost, view_count, *how
+            self.lens, self.pose, self.centre, self.rgb, known, depth, surface, pair, at, z, nats, view_count, *how
         )
-        return Surface(depth_m, cost[view, :rows, :columns], view_count[view, :rows, :columns] > 0)
+        return Surface(depth_m, nats[view, :rows, :columns], view_count[view, :rows, :columns] > 0)
 
-    def gains(self, primitives: Float[np.ndarray, "N 7"], looks: bool = True) -> Float[np.ndarray, " N"]:
-        """Decrease of all pixels' cost with each of the primitives added alone; without ``looks`` by agreement only."""
-        return self._gains_and_costs(primitives, looks)[:, 0]
-
-    def is_contradicted(self, primitive: Float[np.ndarray, " 7"]) -> bool:
-        """Whether the pixels that show a primitive match no better than before, so that it only hides wrong matches.
-
-        A wall or floor in the wrong place matches nothing, and everything that hides it explains the photos better.
-        """
-        _, better, was = self._gains_and_costs(np.asarray(primitive)[None], looks=False)[0]
-        return bool(better < _MIN_BETTER * was)
-
-    def _gains_and_costs(self, primitives: Float[np.ndarray, "N 7"], looks: bool) -> Float[np.ndarray, "N 3"]:
-        """Gains, their part on pixels that show the primitives, and those pixels' cost before."""
-        odds = self.foreground_log_odds if looks else np.zeros_like(self.foreground_log_odds)
+    def gains(self, primitives: Float[np.ndarray, "N 7"]) -> Float[np.ndarray, " N"]:
+        """Nats by which all pixels are explained better with each of the primitives added alone."""
         explained = (
             self.depth,
             self.surface,
@@ -186,11 +163,11 @@ class PhotoCostVolume:
             self.z,
             self.begin,
             self.dependents,
-            self.cost,
-            odds,
+            self.nats,
+            self.foreground,
         )
         tried = np.ascontiguousarray(primitives, np.float64)
-        return trial_gains(self._photos, explained, self.half, self.mean_weight, self.floor_m, tried)
+        return trial_gains(self._photos, explained, self.half, self.mean_weight, tried)
 
     @property
     def _photos(self) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
@@ -211,7 +188,7 @@ class PhotoCostVolume:
             self.pair,
             self.at,
             self.z,
-            self.cost,
+            self.nats,
             self.view_count,
             self.half,
             self.mean_weight,

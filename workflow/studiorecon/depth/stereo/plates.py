@@ -11,9 +11,9 @@ from typing import TYPE_CHECKING
 import cv2
 import numpy as np
 
-from studiorecon.depth.stereo.matching import UNKNOWN, correlation, plane_depth
+from studiorecon.depth.stereo.likelihood import CONFIDENT, nats_of_score
+from studiorecon.depth.stereo.matching import correlation, plane_depth
 from studiorecon.footage.stills import read_plate, shrink_plate
-from studiorecon.images.channels import channel_sum
 from studiorecon.images.exposure import compare_colours, solve_gains
 from studiorecon.images.warp import sample
 from studiorecon.scene.camera import Camera
@@ -22,14 +22,10 @@ from studiorecon.scene.files import require_one_each
 if TYPE_CHECKING:
     from jaxtyping import Bool, Float
 
-# Correlation above which a floor pixel counts as floor in both views, as measured on synthetic rooms.
-_SAME_SURFACE = 0.6
 _FLOOR_SEARCH_M = 0.12
 _FLOOR_STEP_M = 0.03
 _MIN_PIXELS = 60
 _SAME_DEPTH = 0.02
-# Variance (summed over channels) of a window above sensor noise: 8 grey levels of 255 in one channel.
-_MIN_VARIANCE = 1e-3
 
 
 @dataclass(frozen=True)
@@ -51,11 +47,6 @@ class Picture:
         ahead = planes[..., 3] - planes[..., :3] @ origin
         depth_m = ahead / np.where(np.abs(along) < 1e-9, np.inf, along)
         return np.maximum(depth_m, 0.0)
-
-    def textured(self, window: int) -> Bool[np.ndarray, "H W"]:
-        """Whether the window around a pixel is not flat. A flat one matches every plane, so it votes for none."""
-        mean, square = (cv2.blur(image, (window, window)) for image in (self.rgb, self.rgb * self.rgb))
-        return channel_sum(square - mean * mean) > _MIN_VARIANCE
 
     def score(
         self,
@@ -109,13 +100,11 @@ def floor_and_gains(
         plane = np.array([0.0, 0.0, 1.0, height_m])
         return [pictures[i].score(pictures[j], plane, window + 2, 0.0, near_m, far_m) for i, j in pairs]
 
-    support = [
-        sum(float(np.clip(s[s > UNKNOWN] - 0.3, 0, None).sum()) for s in scores(height)) for height in candidates
-    ]
+    support = [-sum(float(np.minimum(nats_of_score(s), 0).sum()) for s in scores(height)) for height in candidates]
     floor_m = float(candidates[int(np.argmax(support))]) if max(support, default=0.0) > 0 else 0.0
     overlaps = []
     for (i, j), score in zip(pairs, scores(floor_m)):
-        agree = score > _SAME_SURFACE
+        agree = nats_of_score(score) < CONFIDENT
         if agree.sum() < _MIN_PIXELS:
             continue
         depth_m = pictures[i].depth(np.array([0.0, 0.0, 1.0, floor_m]), near_m, far_m)
