@@ -20,7 +20,7 @@ from studiorecon.depth.stereo.plates import read_pictures
 from studiorecon.rig.room_picture import make_room_picture
 from studiorecon.scene.room import FACES, read_room
 
-FOOT_SIGMA_M, FLOOR_REACH_M, FAR_M, FACED = 0.16, 0.06, 14.0, 0.35
+FOOT_SIGMA_M, FAR_M, FACED = 0.16, 14.0, 0.35
 
 
 def main(scenes: list[Path]) -> None:
@@ -31,9 +31,9 @@ def main(scenes: list[Path]) -> None:
         swept = read_sweeps([scene / f"depth/{camera.name}.sweep.npz" for camera in cameras], len(cameras))
         pictures = read_pictures(cameras, plates, swept.votes.chosen[0].shape[1])
         feet = find_ground_contacts(cameras, [make_room_picture(plate) for plate in plates], float(box.low_m[2]))
-        ends = find_floor_ends(pictures, swept.votes, swept.floor_m, FLOOR_REACH_M)
+        ends = find_floor_ends(pictures, swept.votes, swept.floor_m)
         hidden = replace(box, fitted=np.zeros(6, bool))
-        placed, interval_m = place_unseen_walls(hidden, feet, ends, cameras, FAR_M)
+        placed, interval_m = place_unseen_walls(hidden, feet, ends, cameras, np.zeros((0, 2)), FAR_M)
         for face in np.flatnonzero(box.fitted[:4]):
             normal = (2 * (face % 2) - 1) * box.faces[face, :2]
             wall_m = (2 * (face % 2) - 1) * box.faces[face, 3]

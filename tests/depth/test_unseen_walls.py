@@ -11,7 +11,7 @@ import cv2
 import numpy as np
 import pytest
 from studiorecon.depth.layout.ground_contacts import GroundContacts, find_ground_contacts
-from studiorecon.depth.layout.unseen_walls import FloorEnds, enclose_people, find_floor_ends, place_unseen_walls
+from studiorecon.depth.layout.unseen_walls import FloorEnds, find_floor_ends, place_unseen_walls
 from studiorecon.depth.layout.votes import Votes
 from studiorecon.depth.stereo.plates import Picture
 from studiorecon.geometry.camera_path import scene_centre
@@ -52,7 +52,7 @@ def drawn(view: Camera, posts: Sequence[Post], along: int, width_m: float = 0.35
 
 
 NO_FLOOR = FloorEnds(np.empty((0, 2)), np.empty((0, 2)))
-FAR_M = 14.0
+FAR_M, NOBODY = 14.0, np.zeros((0, 2))
 CAMERAS = [camera(-3.0, -1.0), camera(2.8, -1.5)]
 WALL = [(float(u), 4.0, 2.0) for u in np.linspace(-2.5, 2.5, 7)]
 
@@ -69,9 +69,10 @@ def placed(
     pictures: Sequence[np.ndarray],
     floor: FloorEnds = NO_FLOOR,
     box: RoomBox | None = None,
+    people_m: np.ndarray = NOBODY,
 ) -> tuple[RoomBox, np.ndarray]:
     feet = find_ground_contacts(cameras, [RoomPicture(p, np.ones(p.shape, bool)) for p in pictures], 0.0)
-    return place_unseen_walls(box or open_place(cameras), feet, floor, cameras, FAR_M)
+    return place_unseen_walls(box or open_place(cameras), feet, floor, cameras, people_m, FAR_M)
 
 
 def blank(cameras: Sequence[Camera]) -> list[np.ndarray]:
@@ -120,7 +121,7 @@ def test_where_the_floor_ends_is_read_from_its_confident_pixels() -> None:
     away_m = np.linalg.norm(points[..., :2], axis=-1) * down
     votes = Votes(planes, [np.zeros(one.hw, int)], [away_m < 5.0])
     picture = Picture(one, np.zeros((*one.hw, 3), np.float32), np.ones(one.hw, bool))
-    ends = find_floor_ends([picture], votes, 0.0, 0.06)
+    ends = find_floor_ends([picture], votes, 0.0)
     distance_m = np.linalg.norm(ends.place_m - one.centre_m[:2], axis=1)
     assert len(distance_m) > 40
     assert np.median(distance_m) == pytest.approx(4.6, abs=0.25)
@@ -151,7 +152,7 @@ def test_intervals_cover_the_walls_of_rooms_with_furniture_and_pictures() -> Non
         foot_m = np.choose(kind, [np.full(12, distance_m), distance_m * rng.random(12), distance_m / rng.random(12)])
         foot_m = foot_m + eye_m + rng.normal(0, 0.16, 12)
         feet = GroundContacts(foot_m[:, None] * towards, towards, np.full(12, 0.01), np.zeros(12, int))
-        _, interval_m = place_unseen_walls(open_place(CAMERAS), feet, NO_FLOOR, CAMERAS, FAR_M)
+        _, interval_m = place_unseen_walls(open_place(CAMERAS), feet, NO_FLOOR, CAMERAS, NOBODY, FAR_M)
         covered.append(interval_m[3, 0] <= wall_m <= interval_m[3, 1])
     assert 0.7 <= np.mean(covered) <= 0.92
 
@@ -162,17 +163,27 @@ def placed_from(cameras: Sequence[Camera]) -> float:
     return float(middle_m @ axes()[1, :2] + 0.5 * np.linalg.norm(centres_m - middle_m, axis=1).mean())
 
 
+def test_a_side_whose_floor_goes_on_has_no_wall() -> None:
+    angle_rad = np.radians(np.arange(-40, 41))
+    towards = np.stack([np.sin(angle_rad), np.cos(angle_rad)], 1) @ axes()[:2, :2]
+    seen = FloorEnds(12.0 * towards + CAMERAS[0].centre_m[:2], towards)
+    box, interval_m = placed(CAMERAS, blank(CAMERAS), seen)
+    assert box.high_m[1] == pytest.approx(placed_from(CAMERAS) + FAR_M, abs=0.3)
+    assert interval_m[3, 1] == pytest.approx(box.high_m[1], abs=0.1)
+    assert interval_m[0, 1] - interval_m[0, 0] > 2.0, "of the others nothing is known"
+
+
 def test_people_are_inside_the_walls_that_nothing_measured() -> None:
     box, _ = placed(CAMERAS, blank(CAMERAS))
     person = np.array([[0.0, 9.0, 1.0], [0.0, 0.0, 1.0]]) @ axes()
-    wider = enclose_people(box, person)
+    wider, interval_m = placed(CAMERAS, blank(CAMERAS), people_m=person[:, :2])
     assert wider.contains(person).all()
     assert not box.contains(person).all()
-    np.testing.assert_array_equal(wider.low_m, box.low_m)
-    np.testing.assert_array_equal(wider.high_m[[0, 2]], box.high_m[[0, 2]])
+    assert interval_m[3, 0] > 9.0
     measured = replace(box, fitted=np.ones(6, bool))
-    np.testing.assert_array_equal(enclose_people(measured, person).high_m, box.high_m)
-    np.testing.assert_array_equal(enclose_people(box, np.zeros((0, 3))).high_m, box.high_m)
+    np.testing.assert_array_equal(
+        placed(CAMERAS, blank(CAMERAS), box=measured, people_m=person[:, :2])[0].high_m, box.high_m
+    )
 
 
 @pytest.mark.parametrize(("source", "primitives", "taken"), [("embedded", 0, 1), ("moge", 3, 1), ("moge", 0, 0)])

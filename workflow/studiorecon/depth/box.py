@@ -14,19 +14,16 @@ import numpy as np
 from studiorecon.camera_files.colmap import read_model
 from studiorecon.depth.layout import box as room
 from studiorecon.depth.layout.floor import RaisedFloor, fit_platform
-from studiorecon.depth.layout.ground_contacts import find_ground_contacts
-from studiorecon.depth.layout.unseen_walls import find_floor_ends, place_unseen_walls
+from studiorecon.depth.layout.unseen_walls import FLOOR_REACH_M, complete_room
 from studiorecon.depth.layout.votes import Votes, read_sweeps
 from studiorecon.depth.stereo.plates import Picture, equalise_exposure, read_pictures
 from studiorecon.depth.sweep_settings import FirstLook, Matching
 from studiorecon.progress import say
-from studiorecon.rig.room_picture import make_room_picture
 from studiorecon.scene.room import FACES, RoomBox, write_room
 from studiorecon.signature import Written
 
 _PLACING_SPAN_M, _PLACING_STEP_M = 0.08, 0.01
 _VOTER_REACH_M = 0.15
-_FLOOR_REACH_M = 0.06
 # A wall whose yaw is off by some angle votes, over this length on either side, for offsets that differ by this much
 # times sin(angle).
 _HALF_WALL_M = 4.0
@@ -46,7 +43,7 @@ class Settings(Matching, FirstLook):
 def fit_room_box(pictures: list[Picture], votes: Votes, yaw_rad: float, floor_m: float, settings: Settings) -> RoomBox:
     """The box of the most voted walls around all cameras; faces that too few pixels voted for are defaults.
 
-    A default wall is ``far_m`` beyond the cameras until ``place_unseen_walls``, the default ceiling at
+    A default wall is ``far_m`` beyond the cameras until ``complete_room``, the default ceiling at
     ``ceiling_default_m`` above the floor (at least a metre above the highest camera).
     """
     how, placing = _matching(settings), (_PLACING_SPAN_M, _PLACING_STEP_M)
@@ -90,7 +87,7 @@ def fit_room_box(pictures: list[Picture], votes: Votes, yaw_rad: float, floor_m:
             offset, score[face] = room.place_plane(pictures, voters, axes[axis], begin, *placing, how)
             fitted[face] = True
         (low, high)[face % 2][axis] = offset
-    voters = votes.voters(axes[2], floor_m, _FLOOR_REACH_M)
+    voters = votes.voters(axes[2], floor_m, FLOOR_REACH_M)
     low[2], score[4] = room.place_plane(pictures, voters, axes[2], floor_m, 0.05, _PLACING_STEP_M, how)
     fitted[4] = sum(int(v.sum()) for v in voters) >= least
     high[2] = max(low[2] + settings.ceiling_default_m, centres[:, 2].max() + 1.0)
@@ -113,19 +110,10 @@ def run(settings: Settings, model: Path, plates: list[Path], sweeps: list[Path],
     raised = fit_platform(pictures, fitted.axes, float(fitted.low_m[2]), _matching(settings))
     if raised is not None:
         fitted = _on_lower_floor(fitted, raised, pictures, settings)
-    feet = find_ground_contacts(cameras, [make_room_picture(plate) for plate in plates], float(fitted.low_m[2]))
-    floor_ends = find_floor_ends(pictures, swept.votes, swept.floor_m, _FLOOR_REACH_M)
-    fitted, interval_m = place_unseen_walls(fitted, feet, floor_ends, cameras, settings.far_m)
-    for index, (name, face) in enumerate(zip(FACES, fitted.faces)):
-        if fitted.fitted[index]:
-            why = f" (correlation {fitted.score[index]:.2f})"
-        elif index < len(interval_m):
-            why = ": a default ({:.1f} to {:.1f} m by upright edges, visible floor and usual rooms)".format(
-                *interval_m[index]
-            )
-        else:
-            why = ": a default, because the photos show no such surface"
-        say(f"{name} at {face[3]:.3f} m{why}")
+    fitted, _ = complete_room(fitted, pictures, cameras, plates, swept, np.zeros((0, 2)), settings.far_m)
+    for name, face, is_fitted, score in zip(FACES, fitted.faces, fitted.fitted, fitted.score):
+        why = f"at {face[3]:.3f} m (correlation {score:.2f})" if is_fitted else "is on no photo"
+        say(f"{name} {why}")
     write_room(box, replace(fitted, gains={c.name: g for c, g in zip(cameras, swept.gains)}))
 
 

@@ -18,14 +18,14 @@ from studiorecon.configuration.setting import setting
 from studiorecon.depth.layout.primitive_fitting import fit_primitives
 from studiorecon.depth.layout.primitives import Primitive, depth_with_primitives, write_primitives
 from studiorecon.depth.layout.primitives_picture import overview_sheet
-from studiorecon.depth.layout.unseen_walls import enclose_people
+from studiorecon.depth.layout.unseen_walls import complete_room
 from studiorecon.depth.layout.visibility import joint_places
 from studiorecon.depth.layout.votes import read_sweeps
 from studiorecon.depth.stereo.plates import equalise_exposure, read_pictures, surface_gains
 from studiorecon.depth.sweep_settings import Comparison, FirstLook
 from studiorecon.images.encoded import write_png
 from studiorecon.progress import say
-from studiorecon.scene.room import read_room, write_room
+from studiorecon.scene.room import FACES, read_room, write_room
 from studiorecon.signature import Written
 
 
@@ -62,8 +62,15 @@ def run(
     """
     cameras = read_model(model.parent)
     free_m = joint_places([read_person(path) for path in fits])
-    swept, fitted = read_sweeps(sweeps, len(cameras)), enclose_people(read_room(box), free_m[:, :3])
+    swept = read_sweeps(sweeps, len(cameras))
     pictures = equalise_exposure(read_pictures(cameras, plates, settings.sweep_width), swept.gains)
+    fitted, interval_m = complete_room(read_room(box), pictures, cameras, plates, swept, free_m[:, :2], settings.far_m)
+    for name, (low_m, high_m), face, known in zip(FACES, interval_m, fitted.faces, fitted.fitted):
+        if not known:
+            say(
+                f"{name}: a default at {face[3]:.1f} m ({low_m:.1f} to {high_m:.1f} m by upright edges, visible floor, "
+                "people and usual rooms)"
+            )
     furniture: list[Primitive] = []
     if settings.primitives and len(cameras) > 1:
         small = equalise_exposure(read_pictures(cameras, plates, settings.primitives_width), swept.gains)

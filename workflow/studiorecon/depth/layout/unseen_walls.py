@@ -1,38 +1,43 @@
 # SPDX-License-Identifier: Apache-2.0
 """Walls that no photo matches: one posterior of their distance behind the cameras.
 
-Three things say where such a wall is. Rooms resemble each other: the margin between the outermost camera and a wall is
-log-normal, alike for the walls of one room. Lower ends of upright edges lie on the wall's foot, before it (furniture),
-or beyond it (a picture that hangs on it: its lower end, at any height up to the camera's, would meet the floor at r
-with density d / r², for a wall at distance d). And where the floor was matched, no wall is nearer.
+Three things say where such a wall is. Rooms resemble each other: the margin between the outermost camera or person and
+a wall is log-normal, alike for the walls of one room; a side of a courtyard or a pitch has none. Lower ends of upright
+edges lie on the wall's foot, before it (furniture), or beyond it (a picture that hangs on it: its lower end, at any
+height up to the camera's, would meet the floor at r with density d / r², for a wall at distance d). And where the floor
+was matched, no wall is nearer.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
 from scipy.special import ndtr
 
-from studiorecon.depth.layout.ground_contacts import GroundContacts
-from studiorecon.depth.layout.votes import Votes
+from studiorecon.depth.layout.ground_contacts import GroundContacts, find_ground_contacts
+from studiorecon.depth.layout.votes import PlaneSweep, Votes
 from studiorecon.depth.stereo.plates import Picture
 from studiorecon.geometry.camera_path import scene_centre
+from studiorecon.rig.room_picture import make_room_picture
 from studiorecon.scene.camera import Camera
 from studiorecon.scene.room import RoomBox
 
 if TYPE_CHECKING:
     from jaxtyping import Float
 
-# Median margin between cameras on tripods and a wall, and how rooms (then walls of one room) differ from it (ln).
+# Median margin between cameras on tripods, or people, and a wall; how rooms, then walls of one, differ from it (ln).
 _MARGIN_M = 1.5
 _ROOMS_SIGMA = 0.7
 _WALLS_SIGMA = 0.6
+# Share of sides without a wall: what is there is as far as depth reaches.
+_OPEN = 0.1
 # A camera on its tripod, or a person, is at least so far from a wall.
 _MIN_MARGIN_M = 0.3
-# On a side without cameras, people use this share of the cameras' distance from the middle.
+# On a side without cameras, while nobody is known, people use this share of the cameras' distance from the middle.
 _PEOPLE_SHARE = 0.5
 # Shares of lower ends on the foot of a wall (within 2 sigma) and before it, of 463 in three made captures; the rest
 # hangs on it (python -m benchmarks.unseen_walls).
@@ -52,6 +57,8 @@ _MIN_PIXELS = 5
 # Least cosine between a wall's normal and the line of sight.
 _FACED = 0.35
 _STEP_M = 0.05
+# Planes so near to the floor are the floor.
+FLOOR_REACH_M = 0.06
 
 
 @dataclass(frozen=True)
@@ -62,10 +69,10 @@ class FloorEnds:
     towards: Float[np.ndarray, "N 2"]
 
 
-def find_floor_ends(pictures: Sequence[Picture], votes: Votes, floor_m: float, reach_m: float) -> FloorEnds:
+def find_floor_ends(pictures: Sequence[Picture], votes: Votes, floor_m: float) -> FloorEnds:
     """Where the floor, as confident pixels match it, ends in each camera's directions of one degree."""
     place_m, towards = [np.empty((0, 2))], [np.empty((0, 2))]
-    for picture, on_floor in zip(pictures, votes.voters(np.array([0.0, 0.0, 1.0]), floor_m, reach_m)):
+    for picture, on_floor in zip(pictures, votes.voters(np.array([0.0, 0.0, 1.0]), floor_m, FLOOR_REACH_M)):
         origin_m, rays = picture.camera.rays()
         downwards = rays[on_floor & (rays[..., 2] < 0)]
         away_m = downwards[:, :2] * ((floor_m - origin_m[2]) / downwards[:, 2])[:, None]
@@ -80,16 +87,38 @@ def find_floor_ends(pictures: Sequence[Picture], votes: Votes, floor_m: float, r
     return FloorEnds(np.concatenate(place_m), np.concatenate(towards))
 
 
+def complete_room(
+    box: RoomBox,
+    pictures: Sequence[Picture],
+    cameras: Sequence[Camera],
+    plates: Sequence[Path],
+    swept: PlaneSweep,
+    people_m: Float[np.ndarray, "M 2"],
+    far_m: float,
+) -> tuple[RoomBox, Float[np.ndarray, "4 2"]]:
+    """``place_unseen_walls`` by the upright edges of the ``plates`` and the floor that the sweeps matched."""
+    feet = find_ground_contacts(cameras, [make_room_picture(plate) for plate in plates], float(box.low_m[2]))
+    floor = find_floor_ends(pictures, swept.votes, swept.floor_m)
+    return place_unseen_walls(box, feet, floor, cameras, people_m, far_m)
+
+
 def place_unseen_walls(
-    box: RoomBox, feet: GroundContacts, floor: FloorEnds, cameras: Sequence[Camera], far_m: float
+    box: RoomBox,
+    feet: GroundContacts,
+    floor: FloorEnds,
+    cameras: Sequence[Camera],
+    people_m: Float[np.ndarray, "M 2"],
+    far_m: float,
 ) -> tuple[RoomBox, Float[np.ndarray, "4 2"]]:
     """The box with the walls that are not ``fitted`` at their median, up to ``far_m`` behind the cameras, and all
-    walls' 80 % intervals (coordinates along u, u, v and v). They stay defaults, because nothing was matched there."""
+    walls' 80 % intervals (coordinates along u, u, v and v). ``people_m`` are places of people, whom walls enclose.
+    They stay defaults, because nothing was matched there."""
     outwards = np.array([[-1.0], [1.0], [-1.0], [1.0]])
     normals = outwards * box.axes[[0, 0, 1, 1], :2]
     centres_m, middle_m = np.stack([c.centre_m[:2] for c in cameras]), scene_centre(cameras)[:2]
     radius_m = np.linalg.norm(centres_m - middle_m, axis=1).mean()
-    from_m = np.maximum((centres_m @ normals.T).max(0), normals @ middle_m + _PEOPLE_SHARE * radius_m)
+    reach_m = (people_m @ normals.T).max(0) if len(people_m) else normals @ middle_m + _PEOPLE_SHARE * radius_m
+    from_m = np.maximum((centres_m @ normals.T).max(0), reach_m)
     margins_m = np.arange(_MIN_MARGIN_M, max(far_m, 2 * _MIN_MARGIN_M), _STEP_M)
     likelihood = np.stack(
         [
@@ -103,7 +132,8 @@ def place_unseen_walls(
     rooms_m = np.geomspace(_MARGIN_M / 8, _MARGIN_M * 8, 50)
     room = np.exp(-0.5 * (np.log(rooms_m / _MARGIN_M) / _ROOMS_SIGMA) ** 2)
     wall = np.exp(-0.5 * (np.log(margins_m / rooms_m[:, None]) / _WALLS_SIGMA) ** 2) / margins_m
-    wall /= wall.sum(1, keepdims=True)
+    wall *= (1 - _OPEN) / wall.sum(1, keepdims=True)
+    wall[:, -1] += _OPEN
     evidence = likelihood @ wall.T
     placed, interval_m = box.faces[:4, 3].copy(), np.repeat(box.faces[:4, 3, None], 2, axis=1)
     for face in np.flatnonzero(~box.fitted[:4]):
@@ -113,18 +143,6 @@ def place_unseen_walls(
         placed[face], interval_m[face] = outwards[face, 0] * median, np.sort(outwards[face, 0] * np.array([low, high]))
     low_m, high_m = np.array([*placed[::2], box.low_m[2]]), np.array([*placed[1::2], box.high_m[2]])
     return replace(box, low_m=low_m, high_m=high_m), interval_m
-
-
-def enclose_people(box: RoomBox, places_m: Float[np.ndarray, "M 3"]) -> RoomBox:
-    """The box with its default walls behind every place of a person."""
-    inside_m = places_m @ box.axes.T
-    low_m, high_m = box.low_m.copy(), box.high_m.copy()
-    for axis in range(2) if len(places_m) else ():
-        if not box.fitted[2 * axis]:
-            low_m[axis] = min(low_m[axis], inside_m[:, axis].min() - _MIN_MARGIN_M)
-        if not box.fitted[2 * axis + 1]:
-            high_m[axis] = max(high_m[axis], inside_m[:, axis].max() + _MIN_MARGIN_M)
-    return replace(box, low_m=low_m, high_m=high_m)
 
 
 def _known(margins_m: Float[np.ndarray, " M"], margin_m: float) -> Float[np.ndarray, " M"]:
