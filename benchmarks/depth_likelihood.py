@@ -38,7 +38,7 @@ def counts(room: Room) -> np.ndarray:
         truth.append(cv2.resize(depth_m, wh, interpolation=cv2.INTER_NEAREST))
     low_m, high_m = np.array([-HALF_X_M, -HALF_Y_M, 0.0]), np.array([HALF_X_M, HALF_Y_M, FAR_M])
     box = RoomBox(0.0, low_m, high_m, np.ones(6, bool), np.full(6, np.nan))
-    volume = PhotoCostVolume.of_empty_room(pictures, box, WINDOW, MEAN_WEIGHT, looks=False)
+    volume = PhotoCostVolume(pictures, box, WINDOW, MEAN_WEIGHT, looks=False)
     # Surfaces hide each other as they truly do.
     volume.depth[:] = np.stack(truth)
     found = np.zeros((2, 2, len(BINS) - 1))

@@ -21,7 +21,7 @@ from studiorecon.depth.layout.yaw import match_yaw
 from studiorecon.depth.stereo.matching import plane_depth
 from studiorecon.depth.stereo.planes import wall_yaw
 from studiorecon.depth.stereo.plates import Picture
-from studiorecon.depth.sweep_settings import DefaultConfidence
+from studiorecon.depth.sweep_settings import DefaultConfidence, Matching
 from studiorecon.errors import UserError
 from studiorecon.footage.exr import read_depth, write_depth
 from studiorecon.scene.camera import Camera
@@ -171,7 +171,7 @@ def test_yaw_of_the_walls_is_found_with_and_without_lines() -> None:
         yaw_rad, support = wall_yaw(cameras, [p.rgb for p in pictures], [p.known for p in pictures])
         assert (support > 0.12) == lines
         if not lines:
-            yaw_rad = match_yaw(pictures, 0.0, 6.0, 0.3, 14.0)
+            yaw_rad = match_yaw(pictures, 0.0, 6.0, Matching())
         assert abs((np.degrees(yaw_rad - 0.35) + 45) % 90 - 45) < tolerance_deg
 
 

@@ -87,7 +87,7 @@ def test_a_primitive_stands_before_what_is_behind_it_and_before_the_unknown() ->
 
 def test_the_true_primitive_is_worth_most_and_gains_are_what_adding_brings() -> None:
     room = made_room()
-    seen = PhotoCostVolume.of_empty_room(looks(room), room.room_box, 5, 1.5)
+    seen = PhotoCostVolume(looks(room), room.room_box, 5, 1.5)
     true = cupboard(room).numbers
     beside, larger, thin_air = true.copy(), true.copy(), true.copy()
     beside[0] += 0.4

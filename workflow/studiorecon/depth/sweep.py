@@ -9,7 +9,6 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -17,16 +16,13 @@ from studiorecon.camera_files.colmap import camera_named, read_model
 from studiorecon.configuration.setting import setting
 from studiorecon.depth.layout.yaw import match_yaw
 from studiorecon.depth.stereo.labelling import label_planes
-from studiorecon.depth.stereo.likelihood import CONFIDENT, UNKNOWN, nats_of_score
+from studiorecon.depth.stereo.likelihood import CONFIDENT
 from studiorecon.depth.stereo.planes import plane_hypotheses, rig_centre, wall_yaw
-from studiorecon.depth.stereo.plates import Picture, equalise_exposure, floor_and_gains, read_pictures
+from studiorecon.depth.stereo.plates import equalise_exposure, floor_and_gains, nats_of_plane, read_pictures
 from studiorecon.depth.sweep_settings import FirstLook, Matching
 from studiorecon.progress import progress, say
 from studiorecon.scene.files import write_npz
 from studiorecon.signature import Written
-
-if TYPE_CHECKING:
-    from jaxtyping import Float
 
 # Nats of a plane that a pixel's ray does not meet: more than any other's.
 _NOT_MET = 9.0
@@ -59,35 +55,13 @@ class Settings(Matching, FirstLook):
     sweep_penalty: float = 4.2
 
 
-def nats_of_planes(
-    pictures: list[Picture], index: int, planes: Float[np.ndarray, "L 4"], settings: Settings
-) -> Float[np.ndarray, "H W L"]:
-    """Float32 nats of every plane in one picture by the camera that agrees best.
-
-    Best, not mean: most surfaces are hidden from most cameras, and one that truly sees the surface is enough.
-    """
-    picture = pictures[index]
-    others = [p for i, p in enumerate(pictures) if i != index]
-    nats = np.full((*picture.known.shape, len(planes)), _NOT_MET, np.float32)
-    for k, plane in enumerate(progress(planes, f"planes seen by {picture.camera.name}")):
-        seen = picture.depth(plane, settings.near_m, settings.far_m) > 0
-        best = np.full(picture.known.shape, UNKNOWN, np.float32)
-        for other in others:
-            best = np.maximum(
-                best,
-                picture.score(other, plane, settings.window, settings.mean_weight, settings.near_m, settings.far_m),
-            )
-        nats[..., k] = np.where(seen, nats_of_score(best), _NOT_MET)
-    return nats
-
-
 def run(settings: Settings, camera: str, model: Path, plates: list[Path], sweep: Written) -> None:
     """Sweep the planes through one camera's plate and write its votes."""
     cameras = read_model(model.parent)
     names = [c.name for c in cameras]
     camera_named(cameras, camera, model)
     pictures = read_pictures(cameras, plates, settings.sweep_width)
-    floor_m, gains, pairs = floor_and_gains(pictures, settings.window, settings.near_m, settings.far_m)
+    floor_m, gains, pairs = floor_and_gains(pictures, settings)
     pictures = equalise_exposure(pictures, gains)
     index = names.index(camera)
     say(
@@ -96,7 +70,7 @@ def run(settings: Settings, camera: str, model: Path, plates: list[Path], sweep:
     )
     yaw_rad, support = wall_yaw([p.camera for p in pictures], [p.rgb for p in pictures], [p.known for p in pictures])
     if support < _MIN_YAW_SUPPORT:
-        yaw_rad = match_yaw(pictures, floor_m, settings.reach_m, settings.near_m, settings.far_m)
+        yaw_rad = match_yaw(pictures, floor_m, settings.reach_m, settings)
         say(
             f"straight lines have no common direction (support {support:.2f}): walls at {np.degrees(yaw_rad):.0f}° and "
             "perpendicular to it match best"
@@ -113,7 +87,10 @@ def run(settings: Settings, camera: str, model: Path, plates: list[Path], sweep:
         ceiling_m=settings.ceiling_m,
         reach_m=settings.reach_m,
     )
-    nats = nats_of_planes(pictures, index, planes, settings)
+    nats = np.empty((*pictures[index].known.shape, len(planes)), np.float32)
+    for k, plane in enumerate(progress(planes, f"planes seen by {camera}")):
+        met = pictures[index].depth(plane, settings) > 0
+        nats[..., k] = np.where(met, nats_of_plane(pictures, index, plane, settings), _NOT_MET)
     chosen = label_planes(nats, pictures[index].rgb, settings.sweep_penalty)
     chosen_nats = np.take_along_axis(nats, chosen[..., None], axis=-1)[..., 0]
     confident = (chosen_nats < CONFIDENT) & pictures[index].known

@@ -4,33 +4,23 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import replace
 from typing import TYPE_CHECKING
 
 import numpy as np
 
 from studiorecon.depth.layout.votes import Votes
 from studiorecon.depth.stereo.likelihood import EVEN_SCORE, nats_of_score
-from studiorecon.depth.stereo.plates import Picture
+from studiorecon.depth.stereo.plates import Picture, nats_of_plane
+from studiorecon.depth.sweep_settings import Matching
 
 if TYPE_CHECKING:
     from jaxtyping import Bool, Float, Integer
 
-_MIN_VOTERS = 30
 # Walls with this share of the best one's votes are its rivals; the window that decides is a tenth of the picture's
 # width.
 _RIVAL_SHARE, _MAX_RIVALS = 0.2, 6
 _WIDE_SHARE = 20
-
-
-@dataclass(frozen=True)
-class Matching:
-    """How planes are compared: window in pixels, weight of the mean difference, depth range in metres."""
-
-    window: int
-    mean_weight: float
-    near_m: float
-    far_m: float
 
 
 def plane_support(
@@ -45,12 +35,8 @@ def plane_support(
     """
     scores = [np.zeros(0, np.float32)]
     for i, picture in enumerate(pictures):
-        if voters[i].sum() >= _MIN_VOTERS:
-            scores += [
-                picture.score(other, plane, how.window, how.mean_weight, how.near_m, how.far_m)[voters[i]]
-                for j, other in enumerate(pictures)
-                if j != i
-            ]
+        if voters[i].any():
+            scores += [picture.score(other, plane, how)[voters[i]] for j, other in enumerate(pictures) if j != i]
     every = np.concatenate(scores)
     agreed = every[every > EVEN_SCORE]
     return -float(nats_of_score(agreed).sum(dtype=np.float64)), float(agreed.mean()) if len(agreed) else float("nan")
@@ -89,8 +75,7 @@ def offset_of_turned_plane(
 ) -> float:
     """Offset of a plane that is turned to ``normal`` about the middle of the surface that its voters see."""
     per_picture = [
-        p.camera.unproject(p.camera.pixel_centres(), p.depth(plane, how.near_m, how.far_m))[v]
-        for p, v in zip(pictures, voters)
+        p.camera.unproject(p.camera.pixel_centres(), p.depth(plane, how))[v] for p, v in zip(pictures, voters)
     ]
     points = np.concatenate(per_picture)
     return float(np.median(points, axis=0) @ normal) if len(points) else float(plane[3])
@@ -149,13 +134,9 @@ def choose_face_offset(
         voters = votes.voters(normal, offset, 0.1)
         offsets = [*offsets[:k], place_plane(pictures, voters, normal, offset, 0.06, 0.02, how)[0], *offsets[k + 1 :]]
         plane, total = np.array([*normal, offsets[k]]), 0.0
-        for i, picture in enumerate(pictures):
-            others = [
-                picture.score(o, plane, wide, how.mean_weight, how.near_m, how.far_m)
-                for j, o in enumerate(pictures)
-                if j != i
-            ]
-            total -= float(np.minimum(nats_of_score(np.max(others, axis=0)[pixels[i]]), 0).sum(dtype=np.float64))
+        for i in range(len(pictures)):
+            nats = nats_of_plane(pictures, i, plane, replace(how, window=wide))[pixels[i]]
+            total -= float(np.minimum(nats, 0).sum(dtype=np.float64))
         explained.append(total)
     return offsets[int(np.argmax(explained))]
 

@@ -9,14 +9,14 @@ best rectangle of every height competes with the floor at the feet.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
 import numpy as np
 
-from studiorecon.depth.layout.box import Matching, place_plane
-from studiorecon.depth.stereo.likelihood import UNKNOWN, nats_of_score
-from studiorecon.depth.stereo.plates import Picture
+from studiorecon.depth.layout.box import place_plane
+from studiorecon.depth.stereo.plates import Picture, nats_of_plane
+from studiorecon.depth.sweep_settings import Matching
 from studiorecon.scene.room import Platform
 
 if TYPE_CHECKING:
@@ -48,7 +48,11 @@ def fit_platform(
     Some 2 s for four pictures 240 pixels wide.
     """
     steps = np.arange(-round(_DEEPEST_M / _STEP_M), round(_HIGHEST_M / _STEP_M) + 1)
-    seen = [_nats_of_heights(pictures, i, standing_m + _STEP_M * steps, how) for i in range(len(pictures))]
+    wide = replace(how, window=how.window + 2, mean_weight=0.0)
+    seen = [
+        np.stack([nats_of_plane(pictures, i, np.array([0, 0, 1, standing_m + _STEP_M * k]), wide) for k in steps])
+        for i in range(len(pictures))
+    ]
     on_level = [_places_at_height(picture, axes, standing_m, how) for picture in pictures]
     judged = [(cost != 0).any(axis=0) & np.isfinite(place_m[..., 0]) for cost, place_m in zip(seen, on_level)]
     cost = np.concatenate([c[:, m] for c, m in zip(seen, judged)], axis=1)
@@ -73,25 +77,11 @@ def fit_platform(
     return RaisedFloor(Platform(low_m, high_m, standing_m), floor_m, score)
 
 
-def _nats_of_heights(
-    pictures: Sequence[Picture], index: int, heights_m: Float[np.ndarray, " N"], how: Matching
-) -> Float[np.ndarray, "N H W"]:
-    """Nats of a level surface at every height, by the camera that agrees best; 0 where none judges it."""
-    own, found = pictures[index], []
-    for height_m in heights_m:
-        plane, best = np.array([0.0, 0.0, 1.0, height_m]), np.full(own.known.shape, UNKNOWN, np.float32)
-        for j, other in enumerate(pictures):
-            if j != index:
-                best = np.maximum(best, own.score(other, plane, how.window + 2, 0.0, how.near_m, how.far_m))
-        found.append(nats_of_score(best))
-    return np.stack(found)
-
-
 def _places_at_height(
     picture: Picture, axes: Float[np.ndarray, "3 3"], height_m: float, how: Matching
 ) -> Float[np.ndarray, "H W 2"]:
     """Where each pixel's ray meets a height, along the room box's axes; NaN where it does not."""
-    depth_m = picture.depth(np.array([0.0, 0.0, 1.0, height_m]), how.near_m, how.far_m)
+    depth_m = picture.depth(np.array([0.0, 0.0, 1.0, height_m]), how)
     points_m = picture.camera.unproject(picture.camera.pixel_centres(), np.where(depth_m > 0, depth_m, np.nan))
     return (points_m @ axes.T)[..., :2]
 

@@ -9,8 +9,9 @@ from functools import cache
 
 import numpy as np
 
-from studiorecon.depth.stereo.likelihood import CONFIDENT, nats_of_score
-from studiorecon.depth.stereo.plates import Picture
+from studiorecon.depth.stereo.likelihood import CONFIDENT
+from studiorecon.depth.stereo.plates import Picture, nats_of_plane
+from studiorecon.depth.sweep_settings import Matching
 from studiorecon.footage.stills import shrink_plate
 
 # Coarse pictures suffice: a wall 4° off is 20 cm off three metres along, some two pixels at this width.
@@ -20,7 +21,7 @@ _OFFSET_STEP_M = 0.25
 _COARSE_RAD, _FINE_RAD = np.radians(7.5), np.radians(1.5)
 
 
-def match_yaw(pictures: Sequence[Picture], floor_m: float, reach_m: float, near_m: float, far_m: float) -> float:
+def match_yaw(pictures: Sequence[Picture], floor_m: float, reach_m: float, how: Matching) -> float:
     """Yaw in [0, pi/2) at which walls along it and across it explain most pixels above the floor; 0 when none match.
 
     First every 7.5°, then every 1.5° around the best. Costs some seconds; ``wall_yaw`` needs none when there are lines.
@@ -28,11 +29,12 @@ def match_yaw(pictures: Sequence[Picture], floor_m: float, reach_m: float, near_
     if sum(bool(picture.known.any()) for picture in pictures) < 2:
         return 0.0
     small = [_shrink(picture) for picture in pictures]
-    floor = [_nats(small, i, np.array([0.0, 0.0, 1.0, floor_m]), near_m, far_m) for i in range(len(small))]
+    how = replace(how, window=_WINDOW, mean_weight=1.0)
+    floor = [nats_of_plane(small, i, np.array([0.0, 0.0, 1.0, floor_m]), how) for i in range(len(small))]
 
     @cache
     def walls(half_degrees: int) -> list[np.ndarray]:
-        return _nats_of_walls(small, np.radians(half_degrees / 2), reach_m, near_m, far_m)
+        return _nats_of_walls(small, np.radians(half_degrees / 2), reach_m, how)
 
     def support(yaw_rad: float) -> float:
         along, across = (walls(round(np.degrees((yaw_rad + turn) % np.pi) * 2)) for turn in (0.0, np.pi / 2))
@@ -53,15 +55,7 @@ def _shrink(picture: Picture) -> Picture:
     return replace(picture, camera=picture.camera.resized(wh), rgb=np.ascontiguousarray(rgb, np.float32), known=known)
 
 
-def _nats(pictures: Sequence[Picture], index: int, plane: np.ndarray, near_m: float, far_m: float) -> np.ndarray:
-    """(H, W) nats of a plane in one picture by the other that agrees best."""
-    others = [other for j, other in enumerate(pictures) if j != index]
-    return nats_of_score(np.max([pictures[index].score(o, plane, _WINDOW, 1.0, near_m, far_m) for o in others], axis=0))
-
-
-def _nats_of_walls(
-    pictures: Sequence[Picture], yaw_rad: float, reach_m: float, near_m: float, far_m: float
-) -> list[np.ndarray]:
+def _nats_of_walls(pictures: Sequence[Picture], yaw_rad: float, reach_m: float, how: Matching) -> list[np.ndarray]:
     """Per picture (H, W) least nats of any upright plane with this normal outside the cameras."""
     normal = np.array([np.cos(yaw_rad), np.sin(yaw_rad), 0.0])
     along = np.array([normal @ p.camera.centre_m for p in pictures])
@@ -70,5 +64,5 @@ def _nats_of_walls(
     best = [np.zeros(p.known.shape, np.float32) for p in pictures]
     for offset in offsets[(offsets > along.max()) | (offsets < along.min())]:
         plane = np.array([*normal, offset])
-        best = [np.minimum(b, _nats(pictures, i, plane, near_m, far_m)) for i, b in enumerate(best)]
+        best = [np.minimum(b, nats_of_plane(pictures, i, plane, how)) for i, b in enumerate(best)]
     return best

@@ -101,13 +101,15 @@ def is_hidden(depth, o, flat, z):
 
 
 @njit(cache=True, parallel=True)
-def explain_all(lens, pose, centre, rgb, known, depth, surface, pair, at, z, nats, judge_count, half, mean_weight):
-    """Fill what photos say of surfaces: ``pair``, ``at``, ``z``, ``nats``, ``judge_count`` (``PhotoCostVolume``)."""
+def explain_all(lens, pose, centre, rgb, known, depth, surface, half, mean_weight):
+    """What photos say of surfaces: ``pair``, ``at``, ``z``, ``nats``, ``judges`` (``PhotoCostVolume``)."""
     views, height, width = known.shape
+    pair = np.full((views, views, height, width), NOT_JUDGED, np.float32)
+    at, z = np.zeros(pair.shape, np.int32), np.zeros(pair.shape, np.float32)
+    nats, judges = np.zeros(known.shape, np.float32), np.zeros(known.shape, np.uint8)
     for job in prange(views * views):
         v, o = job // views, job % views
         if v == o:
-            pair[v, o] = NOT_JUDGED
             continue
         samples, seen = np.zeros((height, width, 3), np.float32), np.zeros((height, width), np.bool_)
         for y in range(height):
@@ -117,7 +119,6 @@ def explain_all(lens, pose, centre, rgb, known, depth, surface, pair, at, z, nat
                     seen[y, x] = at[v, o, y, x] >= 0
         for y in range(height):
             for x in range(width):
-                pair[v, o, y, x] = NOT_JUDGED
                 if seen[y, x]:
                     pair[v, o, y, x] = window_nats(rgb, v, y, x, samples, seen, surface[v], 0, 0, half, mean_weight)
     for v in prange(views):
@@ -132,8 +133,9 @@ def explain_all(lens, pose, centre, rgb, known, depth, surface, pair, at, z, nat
                     ):
                         total += pair[v, o, y, x]
                         count += 1
-                judge_count[v, y, x] = count
+                judges[v, y, x] = count
                 nats[v, y, x] = total / count if count else 0
+    return pair, at, z, nats, judges
 
 
 @njit(cache=True, parallel=True)

@@ -1,11 +1,10 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Cost of all photos' pixels for a room with primitives in it, and its change by one more primitive.
+"""Nats of all photos' pixels for a room with primitives in it, and their change by one more primitive.
 
 A pixel's surface is seen by other cameras or hidden from them; those that see it must show the same colours (windowed
 correlation over the pixels of one surface). So a primitive gains by its faces that match and by wrong matches behind it
-that it hides, and loses by every right match that it hides. Parts that no other camera sees gain nothing by matching.
-Regions that differ from the wall behind may extend matched ones, or form an object on the floor that is seen without
-occlusion (``self_dissimilarity``).
+that it hides, and loses by every right match that it hides. Where no other camera judges it, a pixel that differs from
+the rest of the wall behind speaks for a primitive, and one that does not against it (``self_dissimilarity``).
 """
 
 from __future__ import annotations
@@ -40,134 +39,62 @@ class Surface:
         return self.compared & (self.nats < 0)
 
 
-@dataclass
 class PhotoCostVolume:
-    """All views as explained by the current primitives; arrays are (V, H, W), padded to the largest picture.
+    """All views as explained by the room box and primitives; arrays are (V, H, W), padded to the largest picture.
 
     Attributes:
-        lens: focal lengths and principal point, pixels. pose: camera_from_world. centre: (V, 3)
-            metres.
-        rgb, known: the photos. depth: z-depth of the explaining surface, metres. surface: its number.
-        pair: nats of the surface in another camera, ``NOT_JUDGED`` where they cannot be compared.
+        lens, pose, centre: focal lengths and principal point (pixels), camera_from_world, place (metres).
+        rgb, known: the photos.
+        depth, surface: z-depth of the explaining surface, metres, and its number.
+        pair: (V, V, H, W) nats of the surface in another camera, ``NOT_JUDGED`` where they cannot be compared.
         at, z: (V, V, H, W) flat pixel in the other camera, and depth there.
-        begin, dependents: (V, H W + 1) and (V, V H W): the pixels whose cost depends on each pixel
-            (``kernels.invert_visibility``).
-        nats: of every pixel; 0 where no other camera judges it.
-        view_count: number of other cameras that see its surface.
-        half, mean_weight: half a window in pixels, weight of a difference of means.
-        empty_room: depth and surface of the room box alone.
+        nats, judges: of every pixel, 0 where no other camera judges it, and the number of those that do.
+        begin, dependents: the pixels whose nats depend on each pixel (``kernels.invert_visibility``).
         foreground: ``self_dissimilarity.foreground_log_odds`` of the room box alone.
-        primitives: those added so far.
+        primitives: (K, 7), those added so far.
     """
 
-    lens: Float[np.ndarray, "V 4"]
-    pose: Float[np.ndarray, "V 3 4"]
-    centre: Float[np.ndarray, "V 3"]
-    rgb: Float[np.ndarray, "V H W 3"]
-    known: Bool[np.ndarray, "V H W"]
-    depth: Float[np.ndarray, "V H W"]
-    surface: Integer[np.ndarray, "V H W"]
-    pair: Float[np.ndarray, "V V H W"]
-    at: Integer[np.ndarray, "V V H W"]
-    z: Float[np.ndarray, "V V H W"]
-    begin: Integer[np.ndarray, "V S"]
-    dependents: Integer[np.ndarray, "V T"]
-    nats: Float[np.ndarray, "V H W"]
-    view_count: Integer[np.ndarray, "V H W"]
-    half: int
-    mean_weight: float
-    empty_room: tuple[Float[np.ndarray, "V H W"], Integer[np.ndarray, "V H W"]]
-    foreground: Float[np.ndarray, "V H W"]
-    primitives: Float[np.ndarray, "K 7"]
-
-    @staticmethod
-    def of_empty_room(
-        pictures: Sequence[Picture], room_box: RoomBox, window: int, mean_weight: float, looks: bool = True
-    ) -> PhotoCostVolume:
+    def __init__(
+        self, pictures: Sequence[Picture], room_box: RoomBox, window: int, mean_weight: float, looks: bool = True
+    ) -> None:
         """The empty room: every pixel on the room box. Without ``looks`` the foreground log-odds are 0."""
-        count = len(pictures)
-        height, width = np.max([p.camera.hw for p in pictures], axis=0)
-        shape = (count, height, width)
-        rgb, known = np.zeros((*shape, 3), np.float32), np.zeros(shape, bool)
-        depth_m, surface = np.zeros(shape, np.float32), np.full(shape, -1, np.int32)
+        shape = (len(pictures), *np.max([p.camera.hw for p in pictures], axis=0))
+        self.rgb, self.known = np.zeros((*shape, 3), np.float32), np.zeros(shape, bool)
+        self._box_m, self._face = np.zeros(shape, np.float32), np.full(shape, -1, np.int32)
+        self.foreground, self._how = np.zeros(shape, np.float32), (window // 2, mean_weight)
+        self.mean_weight = mean_weight
+        odds = foreground_log_odds(pictures, room_box) if looks else [0.0] * len(pictures)
         for v, picture in enumerate(pictures):
-            rows, columns = picture.camera.hw
-            length_m, face = room_box.intersect(*picture.camera.rays())
-            rgb[v, :rows, :columns], known[v, :rows, :columns] = picture.rgb, picture.known & (face >= 0)
-            depth_m[v, :rows, :columns], surface[v, :rows, :columns] = length_m, face
-        lens = np.array([[*p.camera.focal_px, *p.camera.principal_px] for p in pictures])
-        pose, centre = (
-            np.stack([p.camera.camera_from_world[:3] for p in pictures]),
-            np.stack([p.camera.centre_m for p in pictures]),
-        )
-        pair, at, z = (np.zeros((count, *shape), kind) for kind in (np.float32, np.int32, np.float32))
-        nats, view_count, odds = (np.zeros(shape, kind) for kind in (np.float32, np.uint8, np.float32))
-        empty_room = depth_m.copy(), surface.copy()
-        room = PhotoCostVolume(
-            lens,
-            pose,
-            centre,
-            rgb,
-            known,
-            depth_m,
-            surface,
-            pair,
-            at,
-            z,
-            np.zeros((count, 1), np.int64),
-            np.zeros((count, 0), np.int32),
-            nats,
-            view_count,
-            window // 2,
-            mean_weight,
-            empty_room,
-            odds,
-            np.zeros((0, 7)),
-        )
-        room.replace_all(room.primitives)
-        if looks:
-            for own, unlike in zip(room.foreground, foreground_log_odds(pictures, room_box)):
-                own[: unlike.shape[0], : unlike.shape[1]] = unlike
-        return room
+            own = (v, *(slice(side) for side in picture.camera.hw))
+            self._box_m[own], self._face[own] = room_box.intersect(*picture.camera.rays())
+            self.rgb[own], self.known[own] = picture.rgb, picture.known & (self._face[own] >= 0)
+            self.foreground[own] = odds[v]
+        self.lens = np.array([[*p.camera.focal_px, *p.camera.principal_px] for p in pictures])
+        self.pose = np.stack([p.camera.camera_from_world[:3] for p in pictures])
+        self.centre = np.stack([p.camera.centre_m for p in pictures])
+        self.replace_all(np.zeros((0, 7)))
 
     def nearest(self, view: int, hw: tuple[int, int]) -> tuple[Surface, Integer[np.ndarray, "h w"]]:
         """The surfaces that one view of ``hw`` pixels sees, and their numbers."""
-        depth_m, nats, view_count, number = (
-            a[view, : hw[0], : hw[1]].copy() for a in (self.depth, self.nats, self.view_count, self.surface)
+        depth_m, nats, judges, number = (
+            a[view, : hw[0], : hw[1]].copy() for a in (self.depth, self.nats, self.judges, self.surface)
         )
-        return Surface(depth_m, nats, view_count > 0), number
+        return Surface(depth_m, nats, judges > 0), number
 
     def of_depth(self, view: int, depth_m: Float[np.ndarray, "h w"]) -> Surface:
         """Any depth map of one view, compared by the others where their own surfaces do not hide it."""
-        rows, columns = depth_m.shape
-        depth = self.depth.copy()
+        own, depth = (view, *(slice(side) for side in depth_m.shape)), self.depth.copy()
         depth[view] = 0
-        depth[view, :rows, :columns] = depth_m
-        known = self.known & (depth > 0)
-        pair, at, z, nats, view_count = (
-            np.zeros_like(a) for a in (self.pair, self.at, self.z, self.nats, self.view_count)
-        )
-        surface, how = np.zeros_like(self.surface), (self.half, self.mean_weight)
-        explain_all(
-            self.lens, self.pose, self.centre, self.rgb, known, depth, surface, pair, at, z, nats, view_count, *how
-        )
-        return Surface(depth_m, nats[view, :rows, :columns], view_count[view, :rows, :columns] > 0)
+        depth[own] = depth_m
+        photos = self.lens, self.pose, self.centre, self.rgb, self.known & (depth > 0)
+        *_, nats, judges = explain_all(*photos, depth, np.zeros_like(self.surface), *self._how)
+        return Surface(depth_m, nats[own], judges[own] > 0)
 
     def gains(self, primitives: Float[np.ndarray, "N 7"]) -> Float[np.ndarray, " N"]:
         """Nats by which all pixels are explained better with each of the primitives added alone."""
-        explained = (
-            self.depth,
-            self.surface,
-            self.pair,
-            self.at,
-            self.z,
-            self.begin,
-            self.dependents,
-            self.nats,
-            self.foreground,
-        )
-        tried = np.ascontiguousarray(primitives, np.float64)
-        return trial_gains(self._photos, explained, self.half, self.mean_weight, tried)
+        judged = (self.pair, self.at, self.z, self.begin, self.dependents, self.nats)
+        explained = (self.depth, self.surface, *judged, self.foreground)
+        return trial_gains(self._photos, explained, *self._how, np.ascontiguousarray(primitives, np.float64))
 
     @property
     def _photos(self) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
@@ -176,23 +103,12 @@ class PhotoCostVolume:
     def replace_all(self, primitives: Float[np.ndarray, "K 7"]) -> None:
         """Explain the room with these primitives and no other."""
         self.primitives = np.ascontiguousarray(primitives, np.float64).reshape(-1, 7)
-        self.depth[:], self.surface[:] = self.empty_room
+        self.depth, self.surface = self._box_m.copy(), self._face.copy()
         for k, primitive in enumerate(self.primitives):
-            draw_primitive(
-                self.lens, self.pose, self.centre, self.known, self.depth, self.surface, primitive, FIRST + 10 * k
-            )
-        explain_all(
-            *self._photos,
-            self.depth,
-            self.surface,
-            self.pair,
-            self.at,
-            self.z,
-            self.nats,
-            self.view_count,
-            self.half,
-            self.mean_weight,
-        )
+            views = self.lens, self.pose, self.centre, self.known
+            draw_primitive(*views, self.depth, self.surface, primitive, FIRST + 10 * k)
+        found = explain_all(*self._photos, self.depth, self.surface, *self._how)
+        self.pair, self.at, self.z, self.nats, self.judges = found
         self.begin, self.dependents = invert_visibility(self.known, self.depth, self.pair, self.at, self.z)
 
     def add(self, primitive: Float[np.ndarray, " 7"]) -> None:
