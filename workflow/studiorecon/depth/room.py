@@ -95,4 +95,4 @@ def run(
     )
     write_room(room_box, replace(fitted, gains={c.name: g for c, g in zip(cameras, gains)}))
     write_primitives(primitives, furniture)
-    write_png(picture, overview_sheet(pictures, fitted, furniture, depths))
+    write_png(picture, overview_sheet(pictures, furniture, depths))

@@ -39,6 +39,11 @@ class Surface:
         return self.compared & (self.nats < 0)
 
 
+def _corner(view: int, hw: tuple[int, ...]) -> tuple[int, slice, slice]:
+    """Where the pixels of a view are in padded arrays."""
+    return view, slice(hw[0]), slice(hw[1])
+
+
 class PhotoCostVolume:
     """All views as explained by the room box and primitives; arrays are (V, H, W), padded to the largest picture.
 
@@ -65,7 +70,7 @@ class PhotoCostVolume:
         self.mean_weight = mean_weight
         odds = foreground_log_odds(pictures, room_box) if looks else [0.0] * len(pictures)
         for v, picture in enumerate(pictures):
-            own = (v, *(slice(side) for side in picture.camera.hw))
+            own = _corner(v, picture.camera.hw)
             self._box_m[own], self._face[own] = room_box.intersect(*picture.camera.rays())
             self.rgb[own], self.known[own] = picture.rgb, picture.known & (self._face[own] >= 0)
             self.foreground[own] = odds[v]
@@ -77,13 +82,13 @@ class PhotoCostVolume:
     def nearest(self, view: int, hw: tuple[int, int]) -> tuple[Surface, Integer[np.ndarray, "h w"]]:
         """The surfaces that one view of ``hw`` pixels sees, and their numbers."""
         depth_m, nats, judges, number = (
-            a[view, : hw[0], : hw[1]].copy() for a in (self.depth, self.nats, self.judges, self.surface)
+            a[_corner(view, hw)].copy() for a in (self.depth, self.nats, self.judges, self.surface)
         )
         return Surface(depth_m, nats, judges > 0), number
 
     def of_depth(self, view: int, depth_m: Float[np.ndarray, "h w"]) -> Surface:
         """Any depth map of one view, compared by the others where their own surfaces do not hide it."""
-        own, depth = (view, *(slice(side) for side in depth_m.shape)), self.depth.copy()
+        own, depth = _corner(view, depth_m.shape), self.depth.copy()
         depth[view] = 0
         depth[own] = depth_m
         photos = self.lens, self.pose, self.centre, self.rgb, self.known & (depth > 0)
