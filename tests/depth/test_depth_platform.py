@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 from studiorecon.configuration.settings import load
 from studiorecon.depth import box, sweep
-from studiorecon.depth.layout.floor import fit_platform
+from studiorecon.depth.layout.platform import fit_platform
 from studiorecon.depth.layout.primitive_fitting import fit_primitives
 from studiorecon.depth.stereo.plates import Picture
 from studiorecon.depth.sweep_settings import Matching
@@ -124,8 +124,9 @@ def test_one_camera_tells_nothing() -> None:
     assert fit_platform(seen(raised())[:1], raised().room_box.axes, 0.0, HOW) is None
 
 
-def test_platform_is_the_first_of_the_furniture(on_a_platform: list[Picture]) -> None:
-    platform = Platform(np.array([-0.9, -0.7]), np.array([0.9, 0.7]), 0.0)
+@pytest.mark.parametrize("high_m", [0.9, 0.1], ids=["whole", "half of it"])
+def test_platform_is_the_first_of_the_furniture_and_whole(on_a_platform: list[Picture], high_m: float) -> None:
+    platform = Platform(np.array([-0.9, -0.7]), np.array([high_m, 0.7]), 0.0)
     room_box = replace(raised().room_box, fitted=np.ones(6, bool), platform=platform)
     small = [_at_width(picture, 96) for picture in on_a_platform]
     feet = np.array([[0.0, 0.0, 0.0, 0.05], [0.2, 0.2, 0.0, 0.05]])

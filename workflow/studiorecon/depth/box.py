@@ -13,7 +13,7 @@ import numpy as np
 
 from studiorecon.camera_files.colmap import read_model
 from studiorecon.depth.layout import box as room
-from studiorecon.depth.layout.floor import RaisedFloor, fit_platform
+from studiorecon.depth.layout.platform import RaisedFloor, fit_platform
 from studiorecon.depth.layout.unseen_walls import FLOOR_REACH_M, complete_room
 from studiorecon.depth.layout.votes import Votes, read_sweeps
 from studiorecon.depth.stereo.plates import Picture, equalise_exposure, read_pictures

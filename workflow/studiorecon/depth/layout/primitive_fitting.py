@@ -4,7 +4,7 @@
 from __future__ import annotations
 
 import heapq
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -22,8 +22,9 @@ if TYPE_CHECKING:
 
 _STEPS_M = (0.16, 0.08, 0.04, 0.02)
 _MAX_MOVES = 8
-# A move must explain so many nats more.
-_MIN_MORE = 1.4
+# A move must explain so many nats more; of a platform, such a share of its own gain, because errors of the
+# surrounding floor give small gains.
+_MIN_MORE, _MIN_MORE_SHARE = 1.4, 0.02
 _MIN_SIDE_M, _MIN_HEIGHT_M = 0.05, 0.04
 _CLEARANCE_M = 0.05
 # So many proposals are evaluated again at a time, and so many of them moved.
@@ -89,15 +90,42 @@ def hill_climb(
     # position.
     turns = abs((primitive[2] - room_box.yaw_rad + np.pi / 4) % (np.pi / 2) - np.pi / 4) > 1e-6
 
+    def others(now: Float[np.ndarray, " 7"], step_m: float) -> Float[np.ndarray, "M 7"]:
+        around = neighbour_primitives(now, step_m, turns)
+        return around[is_allowed(around, room_box, taken)]
+
+    return _move_primitive(room, primitive, gain, steps_m, others, _MIN_MORE)
+
+
+def _widen_platform(
+    room: PhotoCostVolume, platform: Float[np.ndarray, " 7"], gain: float
+) -> tuple[Float[np.ndarray, " 7"], float]:
+    """The platform with its sides moved outwards while that explains more, and its gain."""
+
+    def others(now: Float[np.ndarray, " 7"], step_m: float) -> Float[np.ndarray, "M 7"]:
+        around = neighbour_primitives(now, step_m, False)
+        wider = around[:, 3:5].sum(axis=1) > now[3:5].sum()
+        return around[wider & (around[:, 5:] == now[5:]).all(axis=1)]
+
+    return _move_primitive(room, platform, gain, _STEPS_M[:3], others, _MIN_MORE_SHARE * gain)
+
+
+def _move_primitive(
+    room: PhotoCostVolume,
+    primitive: Float[np.ndarray, " 7"],
+    gain: float,
+    steps_m: tuple[float, ...],
+    others: Callable[[Float[np.ndarray, " 7"], float], Float[np.ndarray, "M 7"]],
+    least_more: float,
+) -> tuple[Float[np.ndarray, " 7"], float]:
     for step_m in steps_m:
         for _ in range(_MAX_MOVES):
-            around = neighbour_primitives(primitive, step_m, turns)
-            around = around[is_allowed(around, room_box, taken)]
+            around = others(primitive, step_m)
             if not len(around):
                 break
             found = room.gains(around)
             best = int(found.argmax())
-            if found[best] <= gain + _MIN_MORE:
+            if found[best] <= gain + least_more:
                 break
             primitive, gain = around[best], float(found[best])
     return primitive, gain
@@ -159,7 +187,8 @@ def fit_primitives(
     evidence: list[float] = []
     if room_box.platform is not None:
         platform = _platform_box(room_box.platform, room_box)
-        evidence.append(float(room.gains(platform[None])[0]))
+        platform, gain = _widen_platform(room, platform, float(room.gains(platform[None])[0]))
+        evidence.append(gain)
         room.add(platform)
     taken = np.concatenate([append_distance(room.centre, _CLEARANCE_M), free_m])
     sources = (top_proposals, front_proposals, single_view_proposals)
