@@ -28,6 +28,8 @@ QUICK = {
     "depth": {"primitives": 0},
     "background": {"training": {"iterations": 200}},
     "humans": {"iterations": 60, "gaussians": 2000},
+    "views": {"views_per_segment": 4},
+    "render": {"shots": {"orbit": {"frames": 24}}},
 }
 
 

@@ -179,11 +179,7 @@ def wrong_of(house: House, values: Mapping[str, Any]) -> list[str]:
 
 SOME = (
     "people.association.gate_m",
-    "people.triangulation.solver",
-    "survey.thresholds",
     "survey.force",
-    "report.lpips",
-    "render.width",
     "enhance.injection.history",
     "capture.width",
     "sweep_minutes",
