@@ -21,7 +21,7 @@ from studiorecon.depth.layout.yaw import match_yaw
 from studiorecon.depth.stereo.matching import plane_depth
 from studiorecon.depth.stereo.planes import wall_yaw
 from studiorecon.depth.stereo.plates import Picture
-from studiorecon.depth.sweep_settings import DefaultConfidence, Matching
+from studiorecon.depth.sweep_settings import DefaultConfidence
 from studiorecon.errors import UserError
 from studiorecon.footage.exr import read_depth, write_depth
 from studiorecon.scene.camera import Camera
@@ -40,7 +40,7 @@ THIN = {
 }
 # Furniture where a test asks for it.
 THIN |= {"primitives": 0}
-FURNISHED = THIN | {"primitives": 3, "primitives_width": 96, "primitives_price": 5.6}
+FURNISHED = THIN | {"primitives": 3, "primitives_width": 96, "primitives_gain": 20.0}
 
 
 @dataclass(frozen=True)
@@ -171,7 +171,7 @@ def test_yaw_of_the_walls_is_found_with_and_without_lines() -> None:
         yaw_rad, support = wall_yaw(cameras, [p.rgb for p in pictures], [p.known for p in pictures])
         assert (support > 0.12) == lines
         if not lines:
-            yaw_rad = match_yaw(pictures, 0.0, 6.0, Matching())
+            yaw_rad = match_yaw(pictures, 0.0, 6.0, 0.3, 14.0)
         assert abs((np.degrees(yaw_rad - 0.35) + 45) % 90 - 45) < tolerance_deg
 
 
@@ -204,7 +204,7 @@ def test_a_floor_with_too_few_voters_is_a_default_and_its_file_is_read(
 ) -> None:
     room, cameras, floor = made_room(), ring(wh=(96, 54)), np.array([[0.0, 0.0, 1.0, 0.0]])
     pictures = [Picture(c, photograph(room, c)[0], np.ones(c.hw, bool)) for c in cameras]
-    near = [(p.depth(floor[0], Matching()) > 0) & (p.depth(floor[0], Matching()) < 4.0) for p in pictures]
+    near = [(p.depth(floor[0], 0.3, 14.0) > 0) & (p.depth(floor[0], 0.3, 14.0) < 4.0) for p in pictures]
     votes = Votes(floor, [np.zeros(c.hw, int) for c in cameras], near)
     settings = load(walls.Settings, default_settings("depth"), "depth")
     for wall_votes, enough in ((0.004, True), (1.1, False)):
@@ -244,7 +244,7 @@ def test_sweeps_of_other_settings_are_refused_until_all_are_made_again(tmp_path:
 
     def made(path: Path, offset_m: float) -> None:
         one = {"planes": np.array([[0, 0, 1.0, offset_m]]), "chosen": np.zeros((5, 7), np.int16), "floor_m": 0.0}
-        write_npz(path, one | {"confident": np.ones((5, 7), bool), "yaw_rad": 0.0,
+        write_npz(path, one | {"cost": np.zeros((5, 7)), "confident": np.ones((5, 7), bool), "yaw_rad": 0.0,
                                "gains": np.ones((2, 3))})  # fmt: skip
 
     for k, path in enumerate(files):

@@ -17,7 +17,7 @@ from studiorecon.depth import box, kernels, room, sweep
 from tests.made.room import made_room, photograph, ring, write_capture
 
 SMALL = {"sweep_width": 96, "wall_step_m": 0.1, "reach_m": 6.0, "furniture_m": 1.0}
-SMALL |= {"primitives": 2, "primitives_width": 64, "primitives_price": 1.4}
+SMALL |= {"primitives": 2, "primitives_width": 64, "primitives_gain": 5.0}
 
 
 def compiled() -> set[tuple[str, str]]:

@@ -74,23 +74,24 @@ def test_blurred_edges_return_to_the_photos() -> None:
     assert not depth_edge_pixels(crease.astype(np.float32))[5:-5].any()
 
 
-def labelled(wall_nats: float, network_m: float, sigma: float, outliers: float) -> int:
+def labelled(wall_cost: float, network_m: float, sigma: float, outliers: float) -> int:
     """The label that a flat scene gets: 0 a wall at 4 m, 1 furniture (nowhere), 2 the network's surface."""
     picture, _, _ = view()
     shape = picture.camera.hw
     full = np.ones(shape, np.float32)
-    walls = Surface(4 * full, wall_nats * full, np.full(shape, wall_nats < 0))
-    nothing = Surface(0 * full, 0 * full, np.zeros(shape, bool))
+    walls = Surface(4 * full, wall_cost * full, np.full(shape, wall_cost < 0.3))
+    nothing = Surface(np.zeros(shape, np.float32), np.zeros(shape, np.float32), np.zeros(shape, bool))
     messages = np.full(shape, network_m, np.float32)
-    network = Surface(messages, 0 * full, np.zeros(shape, bool))
+    network = Surface(messages, np.full(shape, 0.5, np.float32), np.zeros(shape, bool))
     belief = LearnedDepth(messages, np.full(shape, sigma, np.float32), outliers)
-    (label,) = np.unique(label_with_network(picture, walls, nothing, network, belief, NetworkTerm()))
+    everywhere = np.ones(shape, bool)
+    (label,) = np.unique(label_with_network(picture, walls, nothing, network, belief, everywhere, NetworkTerm()))
     return int(label)
 
 
 def test_the_network_speaks_where_nobody_else_does_and_loses_where_photos_contradict_it() -> None:
-    assert labelled(0.0, 3.0, 0.02, 0.1) == 2
-    assert labelled(0.0, 3.98, 0.02, 0.1) == 0, "a wall that it agrees with is more precise"
-    assert labelled(-4.5, 3.0, 0.02, 0.9) == 0
-    assert labelled(0.0, 3.0, 0.3, 0.1) == 0, "one that is unsure by a third"
-    assert labelled(0.0, 3.0, 0.02, 0.95) == 0, "one that missed the objects that are known"
+    assert labelled(0.3, 3.0, 0.02, 0.1) == 2
+    assert labelled(0.3, 3.98, 0.02, 0.1) == 0, "a wall that it agrees with is more precise"
+    assert labelled(0.0, 3.0, 0.02, 0.9) == 0
+    assert labelled(0.3, 3.0, 0.3, 0.1) == 0, "one that is unsure by a third"
+    assert labelled(0.3, 3.0, 0.02, 0.95) == 0, "one that missed the objects that are known"

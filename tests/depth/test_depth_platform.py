@@ -12,10 +12,10 @@ import numpy as np
 import pytest
 from studiorecon.configuration.settings import load
 from studiorecon.depth import box, sweep
+from studiorecon.depth.layout.box import Matching
 from studiorecon.depth.layout.platform import fit_platform
 from studiorecon.depth.layout.primitive_fitting import fit_primitives
 from studiorecon.depth.stereo.plates import Picture
-from studiorecon.depth.sweep_settings import Matching
 from studiorecon.geometry import rotations
 from studiorecon.geometry.camera_path import with_pose
 from studiorecon.scene.room import Platform, RoomBox, read_room
@@ -53,7 +53,7 @@ def test_floor_is_found_below_what_people_stand_on(on_a_platform: list[Picture])
     found = fit_platform(on_a_platform, raised().room_box.axes, 0.0, HOW)
     assert found is not None
     assert abs(found.floor_m - FLOOR_M) < 0.06
-    assert found.score > 0.7
+    assert found.score > 0.8
     assert np.abs(found.platform.low_m - (-0.9, -0.7)).max() < 0.16
     assert np.abs(found.platform.high_m - (0.9, 0.7)).max() < 0.16
     assert found.platform.top_m == 0.0
@@ -130,7 +130,7 @@ def test_platform_is_the_first_of_the_furniture_and_whole(on_a_platform: list[Pi
     room_box = replace(raised().room_box, fitted=np.ones(6, bool), platform=platform)
     small = [_at_width(picture, 96) for picture in on_a_platform]
     feet = np.array([[0.0, 0.0, 0.0, 0.05], [0.2, 0.2, 0.0, 0.05]])
-    found = fit_primitives(small, room_box, feet, window=5, mean_weight=0.3, price=5.6, most=1)
+    found = fit_primitives(small, room_box, feet, window=5, mean_weight=0.3, least_gain=20.0, most=1)
     assert (found[0].low_m, found[0].high_m) == (FLOOR_M, 0.0)
     assert np.abs(np.array(found[0].size_m) - (1.8, 1.4)).max() < 0.15
     assert np.abs(found[0].centre_m).max() < 0.08
@@ -155,4 +155,4 @@ def test_room_stands_on_the_lower_floor(
     assert abs(found.low_m[2] - FLOOR_M) < 0.03
     assert abs(found.standing_m) < 0.02
     assert found.fitted[4]
-    assert found.score[4] > 0.7
+    assert found.score[4] > 0.8

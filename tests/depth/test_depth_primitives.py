@@ -4,6 +4,7 @@ up."""
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -11,6 +12,7 @@ import pytest
 from studiorecon.depth.layout.primitive_fitting import contains_any, fit_primitives, is_allowed
 from studiorecon.depth.layout.primitives import Primitive, depth_with_primitives
 from studiorecon.depth.layout.primitives_picture import overview_sheet
+from studiorecon.depth.layout.proposals import leg_candidates
 from studiorecon.depth.layout.visibility import append_distance, joint_places
 from studiorecon.depth.stereo.kernels import draw_primitive
 from studiorecon.depth.stereo.photo_cost import PhotoCostVolume
@@ -37,8 +39,8 @@ def looks(room: Room, width: int = 96) -> list[Picture]:
     return [Picture(c, photograph(room, c)[0], np.ones(c.hw, bool)) for c in cameras]
 
 
-def put_up(pictures: list[Picture], room_box: RoomBox, price: float = 5.6, most: int = 3) -> list[Primitive]:
-    gates = {"window": 5, "mean_weight": 1.5, "price": price, "most": most}
+def put_up(pictures: list[Picture], room_box: RoomBox, least_gain: float = 20.0, most: int = 3) -> list[Primitive]:
+    gates = {"window": 5, "mean_weight": 1.5, "least_gain": least_gain, "most": most}
     return fit_primitives(pictures, room_box, NOBODY, **gates)
 
 
@@ -87,19 +89,19 @@ def test_a_primitive_stands_before_what_is_behind_it_and_before_the_unknown() ->
 
 def test_the_true_primitive_is_worth_most_and_gains_are_what_adding_brings() -> None:
     room = made_room()
-    seen = PhotoCostVolume(looks(room), room.room_box, 5, 1.5)
+    seen = PhotoCostVolume.of_empty_room(looks(room), room.room_box, 5, 1.5)
     true = cupboard(room).numbers
     beside, larger, thin_air = true.copy(), true.copy(), true.copy()
     beside[0] += 0.4
     larger[3:5] += 0.4
     thin_air[5:] += 1.2
     gains = seen.gains(np.stack([true, beside, larger, thin_air]))
-    assert gains[0] > 700
+    assert gains[0] > 100
     assert (gains[1:] < 0.6 * gains[0]).all()
-    before = float(seen.nats.sum(dtype=np.float64))
+    before = float(seen.cost.sum(dtype=np.float64))
     seen.add(true)
-    # What is hidden behind it counts as unseen both ways; what differs from the wall is no part of it.
-    assert before - float(seen.nats.sum(dtype=np.float64)) == pytest.approx(gains[0], rel=0.25)
+    # What is hidden behind it counts as unseen both ways; colour odds are no part of the cost.
+    assert before - float(seen.cost.sum(dtype=np.float64)) == pytest.approx(gains[0], rel=0.25)
     assert seen.gains(true[None])[0] == pytest.approx(0.0, abs=1e-6)
 
 
@@ -123,6 +125,27 @@ def test_what_reaches_behind_a_camera_is_drawn_where_rays_meet_it() -> None:
     assert cut > 5, "some pass right before a camera"
 
 
+def test_what_only_hides_a_floor_in_the_wrong_place_is_contradicted() -> None:
+    """A floor that is taken to be 0.4 m too high matches nowhere, and any box in mid-air that hides it explains the
+    photos better."""
+    room = made_room(table=False)
+    too_high = replace(room.room_box, low_m=room.room_box.low_m + np.array([0, 0, 0.4]))
+    seen = PhotoCostVolume.of_empty_room(looks(room), too_high, 5, 1.5)
+    rng = np.random.default_rng(0)
+    upright = np.array([[*rng.uniform(-1, 1, 2), 0, 1.2, 0.1, 0.5, 0.9] for _ in range(40)])
+    hiding = upright[seen.gains(upright, looks=False) > 100]
+    assert len(hiding) > 10, "they explain the photos better"
+    assert np.mean([seen.is_contradicted(one) for one in hiding]) > 0.9
+
+
+def test_what_is_there_is_not_contradicted() -> None:
+    room = made_room()
+    seen = PhotoCostVolume.of_empty_room(looks(room), room.room_box, 5, 1.5)
+    moved = cupboard(room).numbers + np.array([0.08, -0.08, 0, 0, 0, 0, 0])
+    assert not seen.is_contradicted(cupboard(room).numbers)
+    assert not seen.is_contradicted(moved), "nor when it is some centimetres beside"
+
+
 def test_the_cupboard_is_found(furnished: tuple[Room, list[Picture], list[Primitive]]) -> None:
     room, pictures, found = furnished
     assert found
@@ -133,6 +156,49 @@ def test_the_cupboard_is_found(furnished: tuple[Room, list[Picture], list[Primit
         depths = [depth_with_primitives(primitives, p.camera, d)[0] for p, d in zip(pictures, bare)]
         error[name] = np.mean([np.mean(np.abs(d - t) / t) for d, t in zip(depths, truth)])
     assert error["found"] < 0.4 * error["bare"]
+
+
+def test_a_table_gets_its_legs() -> None:
+    """Four legs of 8 cm under a top: each is too thin to be found by what stands on the floor."""
+    room, legs = made_room(table=False), [np.array([u, v]) for u in (-0.5, 0.5) for v in (-0.3, 0.3)]
+    solids = [
+        solid(room, np.zeros(2), (0.6, 0.4), 0.7, 0.75),
+        *(solid(room, at, (0.04, 0.04), 0.0, 0.7) for at in legs),
+    ]
+    pictures = []
+    for camera in ring(wh=(160, 90)):
+        rgb, depth_m = photograph(room, camera)
+        for one in solids:
+            own, own_m = photograph(replace(room, table=one), camera)
+            rgb, depth_m = np.where((own_m < depth_m)[..., None], own, rgb), np.minimum(depth_m, own_m)
+        pictures.append(Picture(camera, rgb, np.ones(camera.hw, bool)))
+    found = put_up(pictures, room.room_box, most=8)
+    top, *rest = sorted(found, key=lambda one: -one.size_m[0] * one.size_m[1])
+    assert top.high_m == pytest.approx(0.75, abs=0.04)
+    places = [room.room_box.axes[:2, :2] @ np.array(one.centre_m) for one in rest if max(one.size_m) < 0.2]
+    assert all(min(np.linalg.norm(at - place) for place in places) < 0.08 for at in legs)
+    assert len(places) == len(rest) == 4
+    assert {(one.low_m, one.high_m) for one in rest} == {(0.0, top.low_m)}, "from the floor to the top"
+
+
+def solid(room: Room, middle_m: np.ndarray, half_m: tuple[float, float], low_m: float, high_m: float) -> RoomBox:
+    """A box in the room's own directions."""
+    low, high = (np.array([*(middle_m + side * np.array(half_m)), z]) for side, z in ((-1, low_m), (1, high_m)))
+    return replace(room.room_box, low_m=low, high_m=high)
+
+
+def test_nothing_that_stands_on_the_floor_has_legs() -> None:
+    hanging = np.array([0.3, -0.2, 0.5, 1.2, 0.8, 0.7, 0.75])
+    legs = leg_candidates(hanging, 0.0)
+    assert len(legs)
+    assert (legs[:, 5] == 0.0).all()
+    assert (legs[:, 6] == 0.7).all()
+    c, s = np.cos(0.5), np.sin(0.5)
+    under = np.abs((legs[:, :2] - hanging[:2]) @ np.array([[c, -s], [s, c]])) + legs[:, 3:5] / 2
+    assert (under <= np.array([0.6, 0.4]) + 1e-9).all(), "not beside the top"
+    assert not len(leg_candidates(np.array([0.3, -0.2, 0.5, 1.2, 0.8, 0.1, 0.75]), 0.0)), (
+        "it stands nearly on the floor"
+    )
 
 
 def test_an_empty_room_stays_empty() -> None:
@@ -158,12 +224,12 @@ def test_nothing_is_put_where_somebody_walked_or_a_camera_is(
     assert joint_places([]).shape == (0, 4)
 
 
-def test_the_sheet_shows_every_photo(furnished: tuple[Room, list[Picture], list[Primitive]]) -> None:
-    _, pictures, found = furnished
+def test_the_sheet_shows_every_photo_and_the_plan(furnished: tuple[Room, list[Picture], list[Primitive]]) -> None:
+    room, pictures, found = furnished
     depths = [p.plane_depths_of_pixels(np.broadcast_to([0, 0, 1.0, 0], (*p.camera.hw, 4))) for p in pictures]
     with_them, without = (
-        overview_sheet(pictures, [*found, POST], depths),
-        overview_sheet(pictures, [], depths),
+        overview_sheet(pictures, room.room_box, [*found, POST], depths),
+        overview_sheet(pictures, room.room_box, [], depths),
     )
-    assert with_them.shape == without.shape == (2 * 360, 2 * 640, 3)
+    assert with_them.shape == without.shape == (3 * 360, 2 * 640, 3)
     assert (with_them != without).any(axis=-1).mean() > 0.002

@@ -175,7 +175,7 @@ def _objects(path: Path, k: int) -> None:
 def _sweep(path: Path, k: int) -> None:
     rng = _rng(k)
     arrays = {"planes": _room(0).faces, "chosen": rng.integers(0, 6, (5, 7)).astype(np.int16), "floor_m": 0.02}
-    more = {"confident": rng.random((5, 7)) < 0.5, "yaw_rad": 0.1}
+    more = {"cost": rng.uniform(0, 1, (5, 7)), "confident": rng.random((5, 7)) < 0.5, "yaw_rad": 0.1}
     write_npz(path, arrays | more | {"gains": np.array([[1.0, 1.1, 0.9]])})
 
 

@@ -46,7 +46,7 @@ def fit_room_box(pictures: list[Picture], votes: Votes, yaw_rad: float, floor_m:
     A default wall is ``far_m`` beyond the cameras until ``complete_room``, the default ceiling at
     ``ceiling_default_m`` above the floor (at least a metre above the highest camera).
     """
-    how, placing = settings, (_PLACING_SPAN_M, _PLACING_STEP_M)
+    how, placing = _matching(settings), (_PLACING_SPAN_M, _PLACING_STEP_M)
     count = votes.count()
     least = settings.wall_votes * sum(c.size for c in votes.chosen)
     centres = np.stack([p.camera.centre_m for p in pictures])
@@ -62,13 +62,14 @@ def fit_room_box(pictures: list[Picture], votes: Votes, yaw_rad: float, floor_m:
     walls = {face: offset for face in range(4) if (offset := found(face, settings.wall_clearance_m)) is not None}
     turn, turned = 0.0, {face: np.array([*start.axes[face // 2], offset]) for face, offset in walls.items()}
     # Every pixel on a wall takes part, not only its voters: those were chosen by the yaw that is to be tested.
+    looks = [p.textured(settings.window) & p.known for p in pictures]
     for span_rad, step_rad in _YAW_SEARCH_RAD:
         far_m = centres.min(0) - settings.far_m, centres.max(0) + settings.far_m
         box = replace(start, yaw_rad=yaw_rad + turn, low_m=far_m[0], high_m=far_m[1])
         for face, plane in turned.items():
             (box.low_m, box.high_m)[face % 2][face // 2] = plane[3]
         faces = [box.intersect(*p.camera.rays())[1] for p in pictures]
-        pixels = {face: [p.known & (at == face) for p, at in zip(pictures, faces)] for face in turned}
+        pixels = {face: [m & (at == face) for m, at in zip(looks, faces)] for face in turned}
         turn += room.refine_yaw(pictures, [(turned[face], pixels[face]) for face in turned], span_rad, step_rad, how)
         # A wall turns about its visible part: about the world's origin, which may be far away, it would move.
         for face, normal in ((face, replace(start, yaw_rad=yaw_rad + turn).axes[face // 2]) for face in turned):
@@ -107,7 +108,7 @@ def run(settings: Settings, model: Path, plates: list[Path], sweeps: list[Path],
     swept = read_sweeps(sweeps, len(cameras))
     pictures = equalise_exposure(read_pictures(cameras, plates, settings.sweep_width), swept.gains)
     fitted = fit_room_box(pictures, swept.votes, swept.yaw_rad, swept.floor_m, settings)
-    raised = fit_platform(pictures, fitted.axes, float(fitted.low_m[2]), settings)
+    raised = fit_platform(pictures, fitted.axes, float(fitted.low_m[2]), _matching(settings))
     if raised is not None:
         fitted = _on_lower_floor(fitted, raised, pictures, settings)
     fitted, _ = complete_room(fitted, pictures, cameras, plates, swept, np.zeros((0, 2)), settings.far_m)
@@ -115,6 +116,10 @@ def run(settings: Settings, model: Path, plates: list[Path], sweeps: list[Path],
         why = f"at {face[3]:.3f} m (correlation {score:.2f})" if is_fitted else "is on no photo"
         say(f"{name} {why}")
     write_room(box, replace(fitted, gains={c.name: g for c, g in zip(cameras, swept.gains)}))
+
+
+def _matching(settings: Settings) -> room.Matching:
+    return room.Matching(settings.window, settings.mean_weight, settings.near_m, settings.far_m)
 
 
 def _on_lower_floor(box: RoomBox, raised: RaisedFloor, pictures: list[Picture], settings: Settings) -> RoomBox:

@@ -25,10 +25,12 @@ from studiorecon.progress import say, warn
 if TYPE_CHECKING:
     from jaxtyping import Bool, Float, Integer
 
-# Nats of a surface that a pixel's ray does not meet: more than all others' together.
-_NOT_MET = 100.0
-# Price of the network's own surface above a wall's, nats, and the uncertainty from which each factor e costs one more.
-_NETWORK_PRICE, _USUAL_SIGMA = 1.4, 0.02
+# Cost of a surface that a pixel's ray does not meet: more than any other's.
+_NOT_MET = 2.5
+# Cost of one nat of misfit: photos' pixels are correlated over their window, a network's over a tenth of the picture.
+_NAT = 0.15
+# Cost of the network's own surface above a wall's, and its further cost per factor e of uncertainty above 2 %.
+_NETWORK_EXTRA, _USUAL_SIGMA = 0.2, 0.02
 # Standard deviation of log depth beyond which a network is wrong about a camera altogether.
 _WORST_SIGMA = 0.1
 
@@ -39,7 +41,8 @@ class NetworkTerm:
 
     Attributes:
         output: see ``Output``.
-        refine_penalty: nats of a change of surface between neighbouring pixels.
+        refine_penalty: cost of a change of surface between neighbouring pixels.
+        unjudged_cost: cost of floor and walls where no other camera judges them.
     """
 
     output: Output = setting(
@@ -47,7 +50,8 @@ class NetworkTerm:
         "Numbers of the depth network: metric (metres up to a scale), affine (depth up to scale and shift) or inverse "
         "(inverse depth up to scale and shift); auto = what fits the room better.",
     )
-    refine_penalty: float = 5.6
+    refine_penalty: float = 0.8
+    unjudged_cost: float = 0.3
 
 
 def calibrate_network(
@@ -93,12 +97,20 @@ def label_with_network(
     furniture: Surface,
     network: Surface,
     learned: LearnedDepth,
+    textured: Bool[np.ndarray, "H W"],
     settings: NetworkTerm,
 ) -> Integer[np.ndarray, "H W"]:
-    """(H, W) the surface of fewest nats at every pixel: 0 room box, 1 furniture, 2 network; smooth except at edges."""
+    """(H, W) the surface of least cost at every pixel: 0 room box, 1 furniture, 2 network; smooth except at edges."""
+
+    def by_photos(surface: Surface) -> np.ndarray:
+        cost = np.where(surface.compared, surface.cost, settings.unjudged_cost)
+        # A flat window matches flat windows everywhere: that is worth no more than no judgement.
+        return np.where(textured, cost, np.maximum(cost, settings.unjudged_cost))
+
     unsure = np.maximum(np.log(learned.sigma / _USUAL_SIGMA), 0)
-    price = _NETWORK_PRICE + unsure - np.log(1 - learned.outliers)
-    photos = np.stack([box.nats, furniture.nats, network.nats + price])
+    extra = _NETWORK_EXTRA + _NAT * (unsure - np.log(1 - learned.outliers))
+    # Furniture costs nothing by photos: they have already decided for it against the walls.
+    photos = np.stack([by_photos(box), np.zeros_like(box.cost), by_photos(network) + extra])
     depths_m = np.stack([box.depth_m, furniture.depth_m, network.depth_m]).astype(np.float32)
-    nats = np.where(depths_m > 0, photos + learned.misfit(depths_m), _NOT_MET)
-    return label_planes(np.moveaxis(nats, 0, -1), picture.rgb, settings.refine_penalty)
+    cost = np.where(depths_m > 0, photos + _NAT * learned.misfit(depths_m), _NOT_MET)
+    return label_planes(np.moveaxis(cost, 0, -1), picture.rgb, settings.refine_penalty)

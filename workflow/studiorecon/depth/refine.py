@@ -55,13 +55,13 @@ class Settings(Comparison, NetworkTerm, DefaultConfidence):
 def depth_confidence(
     surface: Surface, stated: Bool[np.ndarray, "H W"], default_confidence: float
 ) -> Float[np.ndarray, "H W"]:
-    """Float32: from ``default_confidence`` to 1 by the odds that the surface is right; half of it for a default.
+    """Float32: 1 for a perfect match down to ``default_confidence`` for none; half of it where depth is a default.
 
     A default is a pixel that no other camera confirms, and every pixel that is not ``stated``: the sky of an open
     place looks the same from everywhere, which is no evidence for a wall.
     """
-    quality = 1 / (1 + np.exp(surface.nats))
-    measured = default_confidence + (1 - default_confidence) * quality
+    quality = np.clip(1 - surface.cost, 0, 1)
+    measured = default_confidence + (1 - default_confidence) * np.maximum(quality, 1 / 255)
     return np.where(surface.confirmed & stated, measured, default_confidence / 2).astype(np.float32)
 
 
@@ -151,7 +151,8 @@ def compete_with_network(
         estimate, picture, built.box, built.furniture, built.fitted, settings.output
     )
     network = volume.of_depth(index, learned.depth_m)
-    labels = label_with_network(picture, built.box, built.furniture, network, learned, settings)
+    textured = picture.textured(settings.refine_window)
+    labels = label_with_network(picture, built.box, built.furniture, network, learned, textured, settings)
     small_m = np.choose(labels, [built.box.depth_m, built.furniture.depth_m, learned.depth_m])
     small_confidence = np.choose(labels, built.confidences(network, settings.default_confidence))
     source = upsample_indices(labels, picture.rgb, rgb)
@@ -181,7 +182,7 @@ def run(
     room, furniture = read_room(room_box, names), read_primitives(primitives)
     gains = np.stack([room.gains[name] for name in names])
     pictures = equalise_exposure(read_pictures(cameras, plates, settings.refine_width), gains)
-    volume = PhotoCostVolume(pictures, room, settings.refine_window, settings.mean_weight, looks=False)
+    volume = PhotoCostVolume.of_empty_room(pictures, room, settings.refine_window, settings.mean_weight, looks=False)
     hw, whole = pictures[index].camera.hw, cameras[index]
     box, face = volume.nearest(index, hw)
     fitted = np.append(room.fitted, False)[face]

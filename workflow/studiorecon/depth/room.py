@@ -31,7 +31,7 @@ from studiorecon.signature import Written
 
 @dataclass(frozen=True)
 class Settings(Comparison, FirstLook):
-    """Size in pixels of the pictures for the furniture's fit, and the price of a primitive in nats."""
+    """Size in pixels of the pictures for the furniture's fit, and the least gain of a primitive."""
 
     primitives: int = setting(
         40,
@@ -42,7 +42,7 @@ class Settings(Comparison, FirstLook):
         paper_value=0,
     )
     primitives_width: int = 160
-    primitives_price: float = 11.0
+    primitives_gain: float = 40.0
 
 
 def run(
@@ -81,7 +81,7 @@ def run(
             free_m,
             window=settings.refine_window,
             mean_weight=settings.mean_weight,
-            price=settings.primitives_price,
+            least_gain=settings.primitives_gain,
             most=settings.primitives,
         )
         say(f"{len(furniture)} boxes added to walls and floor")
@@ -95,4 +95,4 @@ def run(
     )
     write_room(room_box, replace(fitted, gains={c.name: g for c, g in zip(cameras, gains)}))
     write_primitives(primitives, furniture)
-    write_png(picture, overview_sheet(pictures, furniture, depths))
+    write_png(picture, overview_sheet(pictures, fitted, furniture, depths))

@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """The first pass of one camera: the plane of the whole catalogue that best explains each pixel.
 
-Writes ``depth/<camera>.sweep.npz``: planes (L, 4) and the (H, W) index of each pixel's plane, its nats, whether the
+Writes ``depth/<camera>.sweep.npz``: planes (L, 4) and the (H, W) index of each pixel's plane, its cost, whether the
 pixel is confident, and values common to the scene: floor height, wall yaw, exposure gains.
 """
 
@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -16,16 +17,22 @@ from studiorecon.camera_files.colmap import camera_named, read_model
 from studiorecon.configuration.setting import setting
 from studiorecon.depth.layout.yaw import match_yaw
 from studiorecon.depth.stereo.labelling import label_planes
-from studiorecon.depth.stereo.likelihood import CONFIDENT
+from studiorecon.depth.stereo.matching import UNKNOWN
 from studiorecon.depth.stereo.planes import plane_hypotheses, rig_centre, wall_yaw
-from studiorecon.depth.stereo.plates import equalise_exposure, floor_and_gains, nats_of_plane, read_pictures
+from studiorecon.depth.stereo.plates import Picture, equalise_exposure, floor_and_gains, read_pictures
 from studiorecon.depth.sweep_settings import FirstLook, Matching
 from studiorecon.progress import progress, say
 from studiorecon.scene.files import write_npz
 from studiorecon.signature import Written
 
-# Nats of a plane that a pixel's ray does not meet: more than any other's.
-_NOT_MET = 9.0
+if TYPE_CHECKING:
+    from jaxtyping import Float
+
+# Cost of a plane where no other camera can judge it, or out of range.
+UNJUDGED = 0.75
+IMPOSSIBLE = 2.0
+# A pixel votes for its plane when the plane's cost is below this.
+CONFIDENT = 0.35
 # Least share of line length that must agree on a yaw; evenly spread lines give 0.03.
 _MIN_YAW_SUPPORT = 0.12
 
@@ -34,7 +41,7 @@ _MIN_YAW_SUPPORT = 0.12
 class Settings(Matching, FirstLook):
     """The planes: up to ``furniture_m``, in the range ``ceiling_m``, and walls up to ``reach_m`` from the centre.
 
-    ``sweep_penalty`` is the price in nats of a change of plane between neighbouring pixels.
+    ``sweep_penalty`` is the cost of a change of plane between neighbouring pixels.
     """
 
     horizontal_step_m: float = setting(
@@ -52,7 +59,29 @@ class Settings(Matching, FirstLook):
     furniture_m: float = 1.3
     ceiling_m: tuple[float, float] = (2.2, 3.2)
     reach_m: float = 10.0
-    sweep_penalty: float = 4.2
+    sweep_penalty: float = 0.6
+
+
+def best_costs(
+    pictures: list[Picture], index: int, planes: Float[np.ndarray, "L 4"], settings: Settings
+) -> Float[np.ndarray, "H W L"]:
+    """Float32 cost of every plane in one picture: 1 - agreement with the camera that agrees best.
+
+    Best, not mean: most surfaces are hidden from most cameras, and one that truly sees the surface is enough.
+    """
+    picture = pictures[index]
+    others = [p for i, p in enumerate(pictures) if i != index]
+    cost = np.full((*picture.known.shape, len(planes)), IMPOSSIBLE, np.float32)
+    for k, plane in enumerate(progress(planes, f"planes seen by {picture.camera.name}")):
+        seen = picture.depth(plane, settings.near_m, settings.far_m) > 0
+        best = np.full(picture.known.shape, UNKNOWN, np.float32)
+        for other in others:
+            best = np.maximum(
+                best,
+                picture.score(other, plane, settings.window, settings.mean_weight, settings.near_m, settings.far_m),
+            )
+        cost[..., k] = np.where(seen, np.where(best > UNKNOWN, np.clip(1 - best, 0, 1.2), UNJUDGED), IMPOSSIBLE)
+    return cost
 
 
 def run(settings: Settings, camera: str, model: Path, plates: list[Path], sweep: Written) -> None:
@@ -61,7 +90,7 @@ def run(settings: Settings, camera: str, model: Path, plates: list[Path], sweep:
     names = [c.name for c in cameras]
     camera_named(cameras, camera, model)
     pictures = read_pictures(cameras, plates, settings.sweep_width)
-    floor_m, gains, pairs = floor_and_gains(pictures, settings)
+    floor_m, gains, pairs = floor_and_gains(pictures, settings.window, settings.near_m, settings.far_m)
     pictures = equalise_exposure(pictures, gains)
     index = names.index(camera)
     say(
@@ -70,7 +99,7 @@ def run(settings: Settings, camera: str, model: Path, plates: list[Path], sweep:
     )
     yaw_rad, support = wall_yaw([p.camera for p in pictures], [p.rgb for p in pictures], [p.known for p in pictures])
     if support < _MIN_YAW_SUPPORT:
-        yaw_rad = match_yaw(pictures, floor_m, settings.reach_m, settings)
+        yaw_rad = match_yaw(pictures, floor_m, settings.reach_m, settings.near_m, settings.far_m)
         say(
             f"straight lines have no common direction (support {support:.2f}): walls at {np.degrees(yaw_rad):.0f}° and "
             "perpendicular to it match best"
@@ -87,19 +116,17 @@ def run(settings: Settings, camera: str, model: Path, plates: list[Path], sweep:
         ceiling_m=settings.ceiling_m,
         reach_m=settings.reach_m,
     )
-    nats = np.empty((*pictures[index].known.shape, len(planes)), np.float32)
-    for k, plane in enumerate(progress(planes, f"planes seen by {camera}")):
-        met = pictures[index].depth(plane, settings) > 0
-        nats[..., k] = np.where(met, nats_of_plane(pictures, index, plane, settings), _NOT_MET)
-    chosen = label_planes(nats, pictures[index].rgb, settings.sweep_penalty)
-    chosen_nats = np.take_along_axis(nats, chosen[..., None], axis=-1)[..., 0]
-    confident = (chosen_nats < CONFIDENT) & pictures[index].known
+    cost = best_costs(pictures, index, planes, settings)
+    chosen = label_planes(cost, pictures[index].rgb, settings.sweep_penalty)
+    chosen_cost = np.take_along_axis(cost, chosen[..., None], axis=-1)[..., 0]
+    confident = (chosen_cost < CONFIDENT) & pictures[index].known & pictures[index].textured(settings.window)
     say(f"{camera}: {confident.mean():.0%} of the pixels match one of {len(planes)} planes")
     write_npz(
         sweep,
         {
             "planes": planes,
             "chosen": chosen.astype(np.int16),
+            "cost": chosen_cost,
             "confident": confident,
             "floor_m": floor_m,
             "yaw_rad": yaw_rad,

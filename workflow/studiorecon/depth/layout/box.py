@@ -4,23 +4,34 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import replace
+from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
 
 from studiorecon.depth.layout.votes import Votes
-from studiorecon.depth.stereo.likelihood import EVEN_SCORE, nats_of_score
-from studiorecon.depth.stereo.plates import Picture, nats_of_plane
-from studiorecon.depth.sweep_settings import Matching
+from studiorecon.depth.stereo.plates import Picture
 
 if TYPE_CHECKING:
     from jaxtyping import Bool, Float, Integer
 
+# Lower scores belong to other surfaces and would bias the mean that places a plane.
+_SAME_SURFACE = 0.2
+_MIN_VOTERS = 30
 # Walls with this share of the best one's votes are its rivals; the window that decides is a tenth of the picture's
 # width.
 _RIVAL_SHARE, _MAX_RIVALS = 0.2, 6
 _WIDE_SHARE = 20
+
+
+@dataclass(frozen=True)
+class Matching:
+    """How planes are compared: window in pixels, weight of the mean difference, depth range in metres."""
+
+    window: int
+    mean_weight: float
+    near_m: float
+    far_m: float
 
 
 def plane_support(
@@ -28,18 +39,19 @@ def plane_support(
     voters: Sequence[Bool[np.ndarray, "H W"]],
     plane: Float[np.ndarray, " 4"],
     how: Matching,
-) -> tuple[float, float]:
-    """Nats by which a plane explains its voters in all pairs that see it, and the mean score of those that agree.
-
-    A pair that disagrees counts as hidden.
-    """
-    scores = [np.zeros(0, np.float32)]
+) -> tuple[float, int]:
+    """Mean score of a plane over the pixels that voted for it (all pairs that see it), and number of comparisons."""
+    total, count = 0.0, 0
     for i, picture in enumerate(pictures):
-        if voters[i].any():
-            scores += [picture.score(other, plane, how)[voters[i]] for j, other in enumerate(pictures) if j != i]
-    every = np.concatenate(scores)
-    agreed = every[every > EVEN_SCORE]
-    return -float(nats_of_score(agreed).sum(dtype=np.float64)), float(agreed.mean()) if len(agreed) else float("nan")
+        if voters[i].sum() < _MIN_VOTERS:
+            continue
+        for j, other in enumerate(pictures):
+            if i == j:
+                continue
+            score = picture.score(other, plane, how.window, how.mean_weight, how.near_m, how.far_m)[voters[i]]
+            score = score[score > _SAME_SURFACE]
+            total, count = total + float(score.sum(dtype=np.float64)), count + len(score)
+    return total / max(count, 1), count
 
 
 def place_plane(
@@ -51,19 +63,21 @@ def place_plane(
     step_m: float,
     how: Matching,
 ) -> tuple[float, float]:
-    """The likeliest offset near ``offset`` (parabola through three), and the score there; NaN without voters."""
+    """The offset near ``offset`` at which the voters' pictures agree best (parabola through three), and its score."""
     tried = offset + np.arange(-round(span_m / step_m), round(span_m / step_m) + 1) * step_m
     support = [plane_support(pictures, voters, np.array([*normal, o]), how) for o in tried]
-    value = np.array([nats for nats, _ in support])
-    best = int(value.argmax())
-    if not value[best]:
+    # Comparisons are lost at a wrong offset, so the mean alone would reward a plane that few pixels still match.
+    most = max(count for _, count in support)
+    if most < _MIN_VOTERS:
         return offset, float("nan")
+    value = np.array([mean * np.sqrt(count / most) for mean, count in support])
+    best = int(value.argmax())
     shift = 0.0
     if 0 < best < len(value) - 1:
         before, at, after = value[best - 1 : best + 2]
         bend = before - 2 * at + after
         shift = 0.5 * (before - after) / bend if bend < 0 else 0.0
-    return float(tried[best] + shift * step_m), support[best][1]
+    return float(tried[best] + shift * step_m), float(support[best][0])
 
 
 def offset_of_turned_plane(
@@ -75,7 +89,8 @@ def offset_of_turned_plane(
 ) -> float:
     """Offset of a plane that is turned to ``normal`` about the middle of the surface that its voters see."""
     per_picture = [
-        p.camera.unproject(p.camera.pixel_centres(), p.depth(plane, how))[v] for p, v in zip(pictures, voters)
+        p.camera.unproject(p.camera.pixel_centres(), p.depth(plane, how.near_m, how.far_m))[v]
+        for p, v in zip(pictures, voters)
     ]
     points = np.concatenate(per_picture)
     return float(np.median(points, axis=0) @ normal) if len(points) else float(plane[3])
@@ -134,9 +149,13 @@ def choose_face_offset(
         voters = votes.voters(normal, offset, 0.1)
         offsets = [*offsets[:k], place_plane(pictures, voters, normal, offset, 0.06, 0.02, how)[0], *offsets[k + 1 :]]
         plane, total = np.array([*normal, offsets[k]]), 0.0
-        for i in range(len(pictures)):
-            nats = nats_of_plane(pictures, i, plane, replace(how, window=wide))[pixels[i]]
-            total -= float(np.minimum(nats, 0).sum(dtype=np.float64))
+        for i, picture in enumerate(pictures):
+            others = [
+                picture.score(o, plane, wide, how.mean_weight, how.near_m, how.far_m)
+                for j, o in enumerate(pictures)
+                if j != i
+            ]
+            total += float(np.clip(np.max(others, axis=0)[pixels[i]], 0, 1).sum(dtype=np.float64))
         explained.append(total)
     return offsets[int(np.argmax(explained))]
 
@@ -155,9 +174,13 @@ def refine_yaw(
     turns = np.arange(-round(span_rad / step_rad), round(span_rad / step_rad) + 1) * step_rad
     value = np.zeros(len(turns))
     for plane, pixels in walls:
+        if sum(int(p.sum()) for p in pixels) < _MIN_VOTERS:
+            continue
         for k, turn in enumerate(turns):
             c, s = np.cos(turn), np.sin(turn)
             turned = np.array([c * plane[0] - s * plane[1], s * plane[0] + c * plane[1], 0.0])
-            offset = offset_of_turned_plane(pictures, pixels, plane, turned, how)
-            value[k] += plane_support(pictures, pixels, np.array([*turned, offset]), how)[0]
+            mean, count = plane_support(
+                pictures, pixels, np.array([*turned, offset_of_turned_plane(pictures, pixels, plane, turned, how)]), how
+            )
+            value[k] += mean * count
     return float(turns[int(value.argmax())]) if value.any() else 0.0

@@ -12,15 +12,14 @@ outside the area of agreement, and must be large in comparison.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import cv2
 import numpy as np
 
-from studiorecon.depth.stereo.likelihood import UNKNOWN
-from studiorecon.depth.stereo.plates import Picture
-from studiorecon.depth.sweep_settings import Matching
+from studiorecon.depth.layout.box import Matching
+from studiorecon.depth.stereo.plates import UNKNOWN, Picture
 from studiorecon.scene.room import Platform
 
 if TYPE_CHECKING:
@@ -115,7 +114,7 @@ def fit_platform(
 
 
 def _mismatch_share(pictures: Sequence[Picture], standing_m: float, how: Matching) -> float:
-    """Share of the pixels at the height of people's feet, seen by other cameras there, that do not match."""
+    """Share of the textured pixels at the height of people's feet, seen by other cameras there, that do not match."""
     agreed = disagreed = 0
     for i, picture in enumerate(pictures):
         best = np.full(picture.known.shape, UNKNOWN, np.float32)
@@ -123,7 +122,7 @@ def _mismatch_share(pictures: Sequence[Picture], standing_m: float, how: Matchin
             for j, other in enumerate(pictures):
                 if j != i:
                     best = np.maximum(best, _score(picture, other, standing_m + _STEP_M * step, how))
-        seen = (best > UNKNOWN) & picture.known
+        seen = (best > UNKNOWN) & picture.known & picture.textured(how.window + 2)
         agreed += int((seen & (best > _AGREED)).sum())
         disagreed += int((seen & (best < _DISAGREED)).sum())
     return disagreed / max(agreed + disagreed, 1)
@@ -131,7 +130,7 @@ def _mismatch_share(pictures: Sequence[Picture], standing_m: float, how: Matchin
 
 def _score(picture: Picture, other: Picture, height_m: float, how: Matching) -> Float[np.ndarray, "H W"]:
     plane = np.array([0.0, 0.0, 1.0, height_m])
-    return picture.score(other, plane, replace(how, window=how.window + 2, mean_weight=0.0))
+    return picture.score(other, plane, how.window + 2, 0.0, how.near_m, how.far_m)
 
 
 @dataclass(frozen=True)
@@ -172,7 +171,7 @@ def _height_votes(pictures: Sequence[Picture], standing_m: float, how: Matching)
     for i, picture in enumerate(pictures):
         centre, centres = picture.camera.centre_m, picture.camera.pixel_centres()
         # Only rays that point down meet heights below the camera.
-        usable = picture.known & (picture.depth(plane, how) > 0)
+        usable = picture.known & picture.textured(how.window + 2) & (picture.depth(plane, how.near_m, how.far_m) > 0)
         rays = picture.camera.unproject(centres, np.ones(usable.shape)) - centre
         theirs = [pair for (first, _), pair in pairs.items() if first == i]
         if not theirs:

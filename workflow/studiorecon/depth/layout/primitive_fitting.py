@@ -11,7 +11,7 @@ import numpy as np
 from numba import njit
 
 from studiorecon.depth.layout.primitives import Primitive
-from studiorecon.depth.layout.proposals import front_proposals, single_view_proposals, top_proposals
+from studiorecon.depth.layout.proposals import front_proposals, leg_candidates, single_view_proposals, top_proposals
 from studiorecon.depth.layout.visibility import append_distance
 from studiorecon.depth.stereo.photo_cost import PhotoCostVolume
 from studiorecon.depth.stereo.plates import Picture
@@ -22,24 +22,47 @@ if TYPE_CHECKING:
 
 _STEPS_M = (0.16, 0.08, 0.04, 0.02)
 _MAX_MOVES = 8
-# A move must explain so many nats more; of a platform, such a share of its own gain, because errors of the
+# A move must explain so many pixels more; of a platform, such a share of its own gain, because errors of the
 # surrounding floor give small gains.
-_MIN_MORE, _MIN_MORE_SHARE = 1.4, 0.02
+_MIN_MORE, _MIN_MORE_SHARE = 0.2, 0.02
 _MIN_SIDE_M, _MIN_HEIGHT_M = 0.05, 0.04
 _CLEARANCE_M = 0.05
 # So many proposals are evaluated again at a time, and so many of them moved.
 _HEAD, _CLIMBERS = 16, 2
+# Proposals this near the middle of a refused one would be moved to it.
+_REFUSED_M = 0.25
 
 
 def neighbour_primitives(primitive: Float[np.ndarray, " 7"], step_m: float, turns: bool) -> Float[np.ndarray, "M 7"]:
     """Neighbours of a primitive: every face moved in or out, the whole moved, and turned if allowed."""
     c, s = np.cos(primitive[2]), np.sin(primitive[2])
-    turn = 1 / max(np.hypot(primitive[3], primitive[4]) / 2, 0.2)
-    along, across = np.array([c, s, 0, 0, 0, 0, 0]), np.array([-s, c, 0, 0, 0, 0, 0])
-    longer, wider, low, high = np.eye(7)[3:]
-    ways = [along, across, high, low, low + high, turn * np.eye(7)[2] * turns]
-    ways += [size + side * shift for side in (-0.5, 0.5) for size, shift in ((longer, along), (wider, across))]
-    return primitive + np.concatenate([step_m * np.array(ways), -step_m * np.array(ways)])
+    found = []
+
+    def moved(
+        du: float = 0.0,
+        dv: float = 0.0,
+        du_size: float = 0.0,
+        dv_size: float = 0.0,
+        turn: float = 0.0,
+        low: float = 0.0,
+        high: float = 0.0,
+    ) -> None:
+        other = primitive.copy()
+        other += (c * du - s * dv, s * du + c * dv, turn, du_size, dv_size, low, high)
+        found.append(other)
+
+    for step in (step_m, -step_m):
+        moved(du=step)
+        moved(dv=step)
+        moved(high=step)
+        moved(low=step)
+        moved(low=step, high=step)
+        for side in (-0.5, 0.5):
+            moved(du=side * step, du_size=step)
+            moved(dv=side * step, dv_size=step)
+        if turns:
+            moved(turn=step / max(np.hypot(primitive[3], primitive[4]) / 2, 0.2))
+    return np.array(found)
 
 
 def is_allowed(
@@ -135,7 +158,7 @@ class Proposals:
     """Candidate primitives with their last gains; gains only fall as a room is filled."""
 
     def __init__(self, least: float) -> None:
-        """Start empty; primitives that explain fewer than ``least`` nats are dropped."""
+        """Start empty; primitives that explain fewer than ``least`` pixels are dropped."""
         self._least = least
         self._primitives: list[np.ndarray] = []
         self._heap: list[tuple[float, int]] = []
@@ -144,24 +167,34 @@ class Proposals:
         return bool(self._heap)
 
     def keep(self, primitives: Iterable[tuple[Float[np.ndarray, " 7"], float]]) -> None:
-        """Add primitives, each with its gain in nats."""
-        for primitive, gain in primitives:
-            if gain >= self._least:
-                heapq.heappush(self._heap, (-float(gain), len(self._primitives)))
+        """Add primitives, each with the number of pixels it explains."""
+        for primitive, price in primitives:
+            if price >= self._least:
+                heapq.heappush(self._heap, (-float(price), len(self._primitives)))
                 self._primitives.append(primitive)
 
-    def take(self, room: PhotoCostVolume, most: int) -> list[tuple[Float[np.ndarray, " 7"], float]]:
-        """Remove and return the best primitives by their current gain, at most ``most``, with that gain."""
+    def take(
+        self, room: PhotoCostVolume, most: int, refused_m: Float[np.ndarray, "M 4"]
+    ) -> list[tuple[Float[np.ndarray, " 7"], float]]:
+        """Remove and return the best primitives by their current gain, at most ``most``, with that number of pixels.
+
+        Those too near one of ``refused_m`` (M, 4: points and distances) are removed: they would be moved to the refused
+        one.
+        """
         while self._heap:
             # The best few by their last gain, evaluated again, include the best.
             head = [heapq.heappop(self._heap)[1] for _ in range(min(_HEAD, len(self._heap)))]
-            gains = room.gains(np.array([self._primitives[k] for k in head]))
-            ranked = sorted((-float(gain), k) for k, gain in zip(head, gains) if gain >= self._least)
+            prices = room.gains(np.array([self._primitives[k] for k in head]))
+            ranked = sorted((-float(price), k) for k, price in zip(head, prices) if price >= self._least)
             best = [entry for entry in ranked if not self._heap or entry <= self._heap[0]][:most]
             for entry in ranked[len(best) :]:
                 heapq.heappush(self._heap, entry)
-            if best:
-                return [(self._primitives[k], -gain) for gain, k in best]
+            found = [(self._primitives[k], -price) for price, k in best]
+            found = [
+                one for one in found if not (contains_any(one[0][None], refused_m)[0] and room.is_contradicted(one[0]))
+            ]
+            if found:
+                return found
         return []
 
 
@@ -172,18 +205,17 @@ def fit_primitives(
     *,
     window: int,
     mean_weight: float,
-    price: float,
+    least_gain: float,
     most: int,
 ) -> list[Primitive]:
     """The primitives that explain the pictures better than the bare room box, in the order of selection.
 
-    Greedy: the best few proposals are moved to where they explain most. The best of them is added if it explains the
-    pixels better by its ``price`` (nats a measurement; the pixels of a window are one). Then the rest are evaluated
-    again. No primitive may contain a camera or one of ``free_m`` (M, 4: points and distances to keep), where people
-    were seen. The platform comes first. Costs some 10 s for four pictures 160 pixels wide.
+    Greedy: the best few proposals are moved to where they explain most. The best of them is added if the photos'
+    disagreement falls by ``least_gain`` pixels and the cameras do not contradict it; then the rest are evaluated again.
+    No primitive may contain a camera or one of ``free_m`` (M, 4: points and distances to keep), where people were seen.
+    The platform comes first. Costs some 10 s for four pictures 160 pixels wide.
     """
-    least = price * window**2
-    room = PhotoCostVolume(pictures, room_box, window, mean_weight)
+    room = PhotoCostVolume.of_empty_room(pictures, room_box, window, mean_weight)
     evidence: list[float] = []
     if room_box.platform is not None:
         platform = _platform_box(room_box.platform, room_box)
@@ -195,19 +227,36 @@ def fit_primitives(
     found = [primitive for source in sources for primitive in source(room, room_box)]
     proposals = np.array(found).reshape(-1, 7)
     proposals = proposals[is_allowed(proposals, room_box, taken)]
-    others = Proposals(least / 2)
+    others, legs = Proposals(least_gain / 2), Proposals(least_gain / 2)
     others.keep(zip(proposals, room.gains(proposals)))
-    while len(evidence) < most and others:
+    refused_m = np.zeros((0, 4))
+    while len(evidence) < most and (others or legs):
         tried = [
             hill_climb(room, room_box, taken, primitive, gain, _STEPS_M[:2])
-            for primitive, gain in others.take(room, _CLIMBERS)
+            for primitive, gain in others.take(room, _CLIMBERS, refused_m)
         ]
-        tried = sorted((one for one in tried if one[1] >= least), key=lambda one: -one[1])
-        if tried:
-            primitive, gain = hill_climb(room, room_box, taken, *tried[0], _STEPS_M[2:])
-            others.keep(tried[1:])
-            room.add(primitive)
-            evidence.append(gain)
+        tried = sorted((one for one in tried if one[1] >= least_gain), key=lambda one: -one[1])
+        leg = [one for one in legs.take(room, 1, np.zeros((0, 4))) if one[1] >= least_gain]
+        if not tried and not leg:
+            continue
+        # Legs come after everything that explains more once it is moved, because four of them also explain part of a
+        # box. They are tried every few centimetres, keep their size, and are too thin to match: they are only accepted
+        # under a slab.
+        is_leg = bool(leg) and (not tried or leg[0][1] > tried[0][1])
+        primitive, gain = (leg if is_leg else tried).pop(0)
+        others.keep(tried)
+        legs.keep(leg)
+        if not is_leg:
+            if room.is_contradicted(primitive):
+                middle = np.array([[*primitive[0:2], primitive[5:].mean()]])
+                refused_m = np.concatenate([refused_m, append_distance(middle, _REFUSED_M)])
+                continue
+            primitive, gain = hill_climb(room, room_box, taken, primitive, gain, _STEPS_M[2:])
+        room.add(primitive)
+        evidence.append(gain)
+        under = leg_candidates(primitive, room.floor_m)
+        under = under[is_allowed(under, room_box, taken)]
+        legs.keep(zip(under, room.gains(under)))
     return [Primitive.from_numbers(primitive, gain) for primitive, gain in zip(room.primitives, evidence)]
 
 

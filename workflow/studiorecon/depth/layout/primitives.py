@@ -38,7 +38,7 @@ class Primitive:
         yaw_rad: direction of its first side.
         size_m: lengths along and across that direction.
         low_m, high_m: heights of foot and top.
-        evidence: nats by which it explains the photos better, at the width of the fit.
+        evidence: disagreement between the photos that it removes, in pixels, at the width of the fit.
     """
 
     centre_m: tuple[float, float]

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A picture of the fitted furniture: its edges on every photo."""
+"""A picture of the fitted furniture: its edges on every photo, and the room from above with cameras."""
 
 from __future__ import annotations
 
@@ -12,13 +12,15 @@ import numpy as np
 from studiorecon.depth.layout.primitives import Primitive
 from studiorecon.depth.stereo.plates import Picture
 from studiorecon.footage.video import to_bytes
+from studiorecon.scene.camera import Camera
+from studiorecon.scene.room import RoomBox
 
 if TYPE_CHECKING:
     from jaxtyping import Float, Integer
 
 _WIDTH = 640
 _HIDDEN_SHARE = 0.02
-_PAPER = (245, 243, 238)
+_PAPER, _INK = (245, 243, 238), (60, 60, 60)
 
 
 def primitive_edges(primitive: Primitive) -> Float[np.ndarray, "12 2 3"]:
@@ -53,13 +55,50 @@ def draw_outlines(
     return canvas
 
 
+def floor_plan(
+    room_box: RoomBox, cameras: Sequence[Camera], primitives: Sequence[Primitive], height: int
+) -> Integer[np.ndarray, "height 640 3"]:
+    """The room's walls, every primitive with the height of its top in centimetres, cameras as dots."""
+    canvas = np.full((height, _WIDTH, 3), _PAPER, np.uint8)
+    u, v = [(room_box.low_m[a], room_box.high_m[a]) for a in (0, 1)]
+    corners = np.array([(a, b, 0) for a, b in ((u[0], v[0]), (u[1], v[0]), (u[1], v[1]), (u[0], v[1]))]) @ room_box.axes
+    low, high = corners[:, :2].min(axis=0), corners[:, :2].max(axis=0)
+    scale = 0.92 * min(_WIDTH / (high - low)[0], height / (high - low)[1])
+
+    def at(points_m: np.ndarray) -> np.ndarray:
+        return np.round(
+            (np.asarray(points_m)[..., :2] - (low + high) / 2) * (scale, -scale) + (_WIDTH / 2, height / 2)
+        ).astype(int)
+
+    cv2.polylines(canvas, [at(corners)], True, _INK, 2, cv2.LINE_AA)
+    for k, primitive in enumerate(primitives):
+        for a, b in at(primitive_edges(primitive)):
+            cv2.line(canvas, tuple(map(int, a)), tuple(map(int, b)), _colour(k), 2, cv2.LINE_AA)
+        where = at(np.array(primitive.centre_m)) - (8, -4)
+        cv2.putText(
+            canvas,
+            f"{100 * primitive.high_m:.0f}",
+            tuple(map(int, where)),
+            cv2.FONT_HERSHEY_SIMPLEX,
+            0.35,
+            _INK,
+            1,
+            cv2.LINE_AA,
+        )
+    for camera in cameras:
+        cv2.circle(canvas, tuple(map(int, at(camera.centre_m))), 5, _INK, -1, cv2.LINE_AA)
+    return canvas
+
+
 def overview_sheet(
     pictures: Sequence[Picture],
+    room_box: RoomBox,
     primitives: Sequence[Primitive],
     depths_m: Sequence[Float[np.ndarray, "h w"]],
 ) -> Integer[np.ndarray, "H W 3"]:
-    """All photos, two to a row."""
+    """All photos, two to a row, and the plan last."""
     shown = [draw_outlines(picture, primitives, depth_m) for picture, depth_m in zip(pictures, depths_m)]
+    shown.append(floor_plan(room_box, [p.camera for p in pictures], primitives, shown[0].shape[0]))
     tallest = max(s.shape[0] for s in shown)
     shown = [cv2.copyMakeBorder(s, 0, tallest - s.shape[0], 0, 0, cv2.BORDER_CONSTANT, value=_PAPER) for s in shown]
     if len(shown) % 2:

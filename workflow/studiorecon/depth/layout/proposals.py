@@ -3,7 +3,7 @@
 
 The photos are projected onto every horizontal and upright plane inside the room (orthographic, a few centimetres a
 cell), each pair of cameras is correlated there, and the score of the same pixels' current explanation is subtracted.
-Rectangles of the largest sum are the tops and fronts of boxes to try.
+Rectangles of the largest sum are the tops and fronts of boxes to try; floating boxes may have legs.
 """
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING
 import cv2
 import numpy as np
 
-from studiorecon.depth.stereo.likelihood import EVEN_SCORE, MAX_DIFFERENCE, NOISE_VARIANCE, nats_of_score
+from studiorecon.depth.stereo.kernels import UNSEEN
 from studiorecon.depth.stereo.photo_cost import PhotoCostVolume
 from studiorecon.images.channels import channel_sum
 from studiorecon.scene.room import RoomBox
@@ -30,13 +30,16 @@ _FRONT_STEP_M, _FRONT_HEIGHT_M = 0.06, 2.2
 # Sides of the rectangles to try, metres; yaws of tops against the walls, radians.
 _SIDES_M = (0.24, 0.36, 0.6, 0.9, 1.4, 2.1)
 _YAWS_RAD = np.radians([0, 22.5, 45, 67.5])
-# Least nats of a rectangle; overlap from which two are one; number of best ones of every plane.
-_MIN_SUM, _OVERLAP, _PER_PLANE = 42.0, 0.5, 3
+_FLAT_VARIANCE = 4e-4
+# Least sum of a rectangle's cells; overlap from which two are one; number of best ones of every plane.
+_MIN_SUM, _OVERLAP, _PER_PLANE = 6.0, 0.5, 3
 _DEPTHS_M = (0.25, 0.45, 0.8)
 _TO_WALL_M = 1.0
 # How far outside the cameras furniture is searched where there is no wall.
 _REACH_M = 2.5
 _SLAB_M = 0.06
+# A slab this far above the floor needs support: widths of posts, and step at which they are tried under all of it.
+_MIN_UNDER_M, _POSTS_M, _POST_STEP_M = 0.3, (0.06, 0.1), 0.04
 # Least difference from the face behind, largest gaps up and aside between parts, least area, and least pixels on the
 # floor.
 _UNLIKE, _GAP_PX, _MIN_AREA, _MIN_ON_FLOOR = 0.2, (5, 3), 40, 3
@@ -45,11 +48,12 @@ _UNLIKE, _GAP_PX, _MIN_AREA, _MIN_ON_FLOOR = 0.2, (5, 3), 40, 3
 def agreement_gain(
     room: PhotoCostVolume, points_m: Float[np.ndarray, "A B 3"], outward: Float[np.ndarray, " 3"]
 ) -> Float[np.ndarray, "A B"]:
-    """Nats by which the best pair of cameras explains surface points better than the current surfaces do, float32.
+    """Gain in agreement of the best pair of cameras on surface points over the current explanation, float32.
 
     Only cameras on the side that ``outward`` points to take part; 0 where no two see the point.
     """
-    colours, now, inside = [], [], []
+    colours, agreed, inside = [], [], []
+    cost = np.where(room.cost > 0, room.cost, np.where(room.known, room.cost, UNSEEN))
     for v in range(len(room.known)):
         if (room.centre[v] - points_m[0, 0]) @ outward < 0.05:
             continue
@@ -63,17 +67,18 @@ def agreement_gain(
         ) & (local[..., 2] > 0.1)
         inside.append(seen)
         colours.append(cv2.remap(room.rgb[v], columns, rows, cv2.INTER_LINEAR))
-        now.append(cv2.remap(room.nats[v], columns, rows, cv2.INTER_LINEAR))
+        agreed.append(1 - cv2.remap(cost[v], columns, rows, cv2.INTER_LINEAR))
     best = np.zeros(points_m.shape[:2], np.float32)
     mean = [cv2.blur(c, (_WINDOW, _WINDOW)) for c in colours]
     variance = [np.maximum(channel_sum(cv2.blur(c * c, (_WINDOW, _WINDOW)) - m * m), 0) for c, m in zip(colours, mean)]
     for i in range(len(colours)):
         for j in range(i):
             covariance = channel_sum(cv2.blur(colours[i] * colours[j], (_WINDOW, _WINDOW)) - mean[i] * mean[j])
-            spread = np.sqrt((variance[i] + NOISE_VARIANCE) * (variance[j] + NOISE_VARIANCE))
-            apart = np.minimum(channel_sum(np.abs(mean[i] - mean[j])), MAX_DIFFERENCE)
-            score = (covariance + EVEN_SCORE * NOISE_VARIANCE) / spread - room.mean_weight * apart
-            more = (now[i] + now[j]) / 2 - nats_of_score(score)
+            score = (covariance + _FLAT_VARIANCE) / np.sqrt(
+                (variance[i] + _FLAT_VARIANCE) * (variance[j] + _FLAT_VARIANCE)
+            )
+            score -= room.mean_weight * np.minimum(channel_sum(np.abs(mean[i] - mean[j])), 0.6)
+            more = np.maximum(score, -0.2) - (agreed[i] + agreed[j]) / 2
             best = np.where(inside[i] & inside[j], np.where(best == 0, more, np.maximum(best, more)), best)
     return best
 
@@ -140,10 +145,10 @@ def top_proposals(room: PhotoCostVolume, room_box: RoomBox) -> Iterator[Float[np
             np.stack([middle[0] + u, middle[1] + v, np.full(u.shape, room_box.low_m[2] + height)], axis=-1)
             @ room_box.axes
         )
-        value = np.where(within, agreement_gain(room, points, np.array([0.0, 0.0, 1.0])), np.float32(-3.5))
+        value = np.where(within, agreement_gain(room, points, np.array([0.0, 0.0, 1.0])), np.float32(-0.5))
         for yaw in _YAWS_RAD:
             turned = cv2.warpAffine(
-                value, cv2.getRotationMatrix2D((half, half), -np.degrees(yaw), 1.0), value.shape, borderValue=-3.5
+                value, cv2.getRotationMatrix2D((half, half), -np.degrees(yaw), 1.0), value.shape, borderValue=-0.5
             )
             c, s = np.cos(yaw), np.sin(yaw)
             for _, top, left, rows, columns in best_rectangles(turned, sides, standing=False):
@@ -186,8 +191,8 @@ def front_proposals(room: PhotoCostVolume, room_box: RoomBox) -> Iterator[Float[
 def single_view_proposals(room: PhotoCostVolume, room_box: RoomBox) -> Iterator[Float[np.ndarray, " 7"]]:
     """Primitives (7,): regions seen by one camera that differ from wall and floor behind, on their lowest point."""
     for v in range(len(room.known)):
-        alone = room.known[v] & (room.nats[v] >= 0) & (room.surface[v] < 6)
-        unlike = (alone & (room.foreground[v] > _UNLIKE)).astype(np.uint8)
+        alone = room.known[v] & (room.cost[v] >= UNSEEN) & (room.surface[v] < 6)
+        unlike = (alone & (room.foreground_log_odds[v] > _UNLIKE)).astype(np.uint8)
         for how, gap in ((cv2.MORPH_OPEN, (2, 2)), (cv2.MORPH_CLOSE, _GAP_PX)):
             unlike = cv2.morphologyEx(unlike, how, np.ones(gap, np.uint8))
         count, labels, stats, _ = cv2.connectedComponentsWithStats(unlike, connectivity=4)
@@ -210,3 +215,25 @@ def single_view_proposals(room: PhotoCostVolume, room_box: RoomBox) -> Iterator[
                 over = room.pose[v, :, :3].T @ np.array([(column + 0.5 - cx) / fx, (top - cy) / fy, 1.0])
                 high = room_box.high_m[2] if top <= 1 else min(room.centre[v, 2] + z * over[2], room_box.high_m[2])
                 yield np.array([*at, room_box.yaw_rad, side, side, room_box.low_m[2], high])
+
+
+def leg_candidates(slab: Float[np.ndarray, " 7"], floor_m: float) -> Float[np.ndarray, "N 7"]:
+    """Upright bars between the floor and a floating box, at all positions under it: legs.
+
+    They are too thin to be detected as furniture and explain little each. None under other primitives, or under boxes
+    nearly on the floor.
+    """
+    if slab[5] - floor_m < _MIN_UNDER_M:
+        return np.zeros((0, 7))
+    c, s = np.cos(slab[2]), np.sin(slab[2])
+    found = []
+    for width_m in _POSTS_M:
+        along, across = (
+            np.linspace(-reach, reach, int(2 * reach / _POST_STEP_M) + 1)
+            for reach in np.maximum(slab[3:5] - width_m, 0) / 2
+        )
+        u, v = (grid.ravel() for grid in np.meshgrid(along, across))
+        bars = np.tile([0, 0, slab[2], width_m, width_m, floor_m, slab[5]], (len(u), 1))
+        bars[:, 0], bars[:, 1] = slab[0] + c * u - s * v, slab[1] + s * u + c * v
+        found.append(bars)
+    return np.concatenate(found)

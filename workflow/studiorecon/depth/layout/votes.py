@@ -75,6 +75,7 @@ class PlaneSweep:
 _SWEEP = {
     "planes": metres("P 4", such=UNIT_NORMALS),
     "chosen": whole("H W", low=0),
+    "cost": real("H W"),
     "confident": flag("H W"),
     "floor_m": metres(),
     "yaw_rad": radians(),

@@ -11,12 +11,14 @@ import numpy as np
 from numba import njit, prange
 
 from studiorecon.depth.layout.primitives import ray_entry_length
-from studiorecon.depth.stereo.likelihood import nats_of_window
 
+# Cost of a pixel whose surface no other camera sees: between a match (about 0.1) and chance (about 0.9).
+UNSEEN = np.float32(0.5)
 # A surface hides another when it is nearer by this share and this many metres (as in passes.py, a little stricter).
 HIDING_SHARE, HIDING_M = 0.03, 0.03
-# Nats of what another camera cannot judge.
-NOT_JUDGED = np.float32(9)
+# As in matching.py: flat windows always correlate, so they are compared by their means and cost at least this.
+_FLAT_VARIANCE, _FLAT_COST, _MIN_VARIANCE = 4e-4, 0.3, 1e-3
+_MAX_DIFFERENCE, _MAX_COST = 0.6, 1.2
 _MIN_PIXELS = 8
 NEAR_M = 0.1
 # Depth is stored in single precision: nearer by less than this share is the same surface.
@@ -66,8 +68,8 @@ def warp_pixel(lens, pose, rgb, known, depth, v, o, y, x, sample):
 
 
 @njit(cache=True, fastmath=True)
-def window_nats(rgb, v, y, x, samples, seen, surface, top, left, half, mean_weight):
-    """Nats of a pixel in one other camera over its surface's pixels in the window from (top, left)."""
+def window_cost(rgb, v, y, x, samples, seen, surface, top, left, half, mean_weight):
+    """Cost of a pixel in one other camera over its surface's pixels in the window from (top, left); -1 with too few."""
     rows, columns = seen.shape
     mine = surface[y - top, x - left]
     n, aa, bb, ab = np.float32(0), np.float32(0), np.float32(0), np.float32(0)
@@ -85,14 +87,18 @@ def window_nats(rgb, v, y, x, samples, seen, surface, top, left, half, mean_weig
             ab += r0 * s0 + r1 * s1 + r2 * s2
             n += 1
     if n < _MIN_PIXELS:
-        return NOT_JUDGED
+        return np.float32(-1)
     k = 1 / n
     a0, a1, a2, b0, b1, b2 = a0 * k, a1 * k, a2 * k, b0 * k, b1 * k, b2 * k
     va = max(aa * k - a0 * a0 - a1 * a1 - a2 * a2, np.float32(0))
     vb = max(bb * k - b0 * b0 - b1 * b1 - b2 * b2, np.float32(0))
     cov = ab * k - a0 * b0 - a1 * b1 - a2 * b2
-    apart = abs(a0 - b0) + abs(a1 - b1) + abs(a2 - b2)
-    return nats_of_window(va, vb, cov, apart, mean_weight)
+    apart = min(abs(a0 - b0) + abs(a1 - b1) + abs(a2 - b2), np.float32(_MAX_DIFFERENCE))
+    score = (cov + _FLAT_VARIANCE) / np.sqrt((va + _FLAT_VARIANCE) * (vb + _FLAT_VARIANCE)) - mean_weight * apart
+    cost = min(max(1 - score, 0.0), _MAX_COST)
+    if va < _MIN_VARIANCE:
+        cost = max(cost, _FLAT_COST)
+    return np.float32(cost)
 
 
 @njit(cache=True)
@@ -101,15 +107,13 @@ def is_hidden(depth, o, flat, z):
 
 
 @njit(cache=True, parallel=True)
-def explain_all(lens, pose, centre, rgb, known, depth, surface, half, mean_weight):
-    """What photos say of surfaces: ``pair``, ``at``, ``z``, ``nats``, ``judges`` (``PhotoCostVolume``)."""
+def explain_all(lens, pose, centre, rgb, known, depth, surface, pair, at, z, cost, judge_count, half, mean_weight):
+    """Fill the costs of the surfaces: ``pair``, ``at``, ``z``, ``cost``, ``judge_count`` (``PhotoCostVolume``)."""
     views, height, width = known.shape
-    pair = np.full((views, views, height, width), NOT_JUDGED, np.float32)
-    at, z = np.zeros(pair.shape, np.int32), np.zeros(pair.shape, np.float32)
-    nats, judges = np.zeros(known.shape, np.float32), np.zeros(known.shape, np.uint8)
     for job in prange(views * views):
         v, o = job // views, job % views
         if v == o:
+            pair[v, o] = -1
             continue
         samples, seen = np.zeros((height, width, 3), np.float32), np.zeros((height, width), np.bool_)
         for y in range(height):
@@ -119,8 +123,9 @@ def explain_all(lens, pose, centre, rgb, known, depth, surface, half, mean_weigh
                     seen[y, x] = at[v, o, y, x] >= 0
         for y in range(height):
             for x in range(width):
+                pair[v, o, y, x] = -1
                 if seen[y, x]:
-                    pair[v, o, y, x] = window_nats(rgb, v, y, x, samples, seen, surface[v], 0, 0, half, mean_weight)
+                    pair[v, o, y, x] = window_cost(rgb, v, y, x, samples, seen, surface[v], 0, 0, half, mean_weight)
     for v in prange(views):
         for y in range(height):
             for x in range(width):
@@ -128,14 +133,13 @@ def explain_all(lens, pose, centre, rgb, known, depth, surface, half, mean_weigh
                 for o in range(views):
                     if (
                         known[v, y, x]
-                        and pair[v, o, y, x] < NOT_JUDGED
+                        and pair[v, o, y, x] >= 0
                         and not is_hidden(depth, o, at[v, o, y, x], z[v, o, y, x])
                     ):
                         total += pair[v, o, y, x]
                         count += 1
-                judges[v, y, x] = count
-                nats[v, y, x] = total / count if count else 0
-    return pair, at, z, nats, judges
+                judge_count[v, y, x] = count
+                cost[v, y, x] = (total / count if count else UNSEEN) if known[v, y, x] else 0
 
 
 @njit(cache=True, parallel=True)
@@ -152,7 +156,7 @@ def invert_visibility(known, depth, pair, at, z):
             for v in range(views):
                 for y in range(height):
                     for x in range(width):
-                        if not known[v, y, x] or pair[v, o, y, x] >= NOT_JUDGED:
+                        if not known[v, y, x] or pair[v, o, y, x] < 0:
                             continue
                         flat = at[v, o, y, x]
                         if is_hidden(depth, o, flat, z[v, o, y, x]):

@@ -11,14 +11,19 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numba import njit
 
-from studiorecon.depth.stereo.likelihood import score_of_window
 from studiorecon.scene.camera import Camera
 
 if TYPE_CHECKING:
-    from jaxtyping import Float
+    from jaxtyping import Bool, Float
 
+# Variance (summed over channels) below which a window counts as flat: flat windows always correlate, so the means
+# decide.
+_FLAT_VARIANCE = 4e-4
 # Least share of the window that both cameras must see.
 _MIN_SHARE = 0.35
+# Limit of the mean difference's part in the score: beyond it the windows differ anyway.
+_MAX_DIFFERENCE = 0.6
+UNKNOWN = np.float32(-9)
 
 
 def plane_inverse_depth(camera: Camera, plane: Float[np.ndarray, " 4"]) -> Float[np.ndarray, " 3"] | None:
@@ -51,10 +56,36 @@ def plane_homography(camera: Camera, other: Camera, inverse_depth: Float[np.ndar
     return other.intrinsics @ (rays + np.outer(other_from_camera[:3, 3], inverse_depth))
 
 
+def correlation(
+    rgb: Float[np.ndarray, "H W 3"],
+    known: Bool[np.ndarray, "H W"],
+    camera: Camera,
+    other_rgb: Float[np.ndarray, "h w 3"],
+    other_known: Bool[np.ndarray, "h w"],
+    other: Camera,
+    plane: Float[np.ndarray, " 4"],
+    window: int,
+    mean_weight: float,
+    near_m: float,
+    far_m: float,
+) -> Float[np.ndarray, "H W"]:
+    """Float32 score of a plane for every pixel of ``camera``: correlation - mean_weight · difference of means, ≤ 1.
+
+    ``UNKNOWN`` where the plane is out of range, outside the other picture, or either picture is not ``known``.
+    """
+    score = np.full(camera.hw, UNKNOWN, np.float32)
+    weights = plane_inverse_depth(camera, plane)
+    if weights is not None:
+        homography = plane_homography(camera, other, weights)
+        _correlate(
+            rgb, known, other_rgb, other_known, homography, weights, window // 2, mean_weight, near_m, far_m, score
+        )
+    return score
+
+
 @njit(cache=True, fastmath=True)
-def correlate(a, a_known, b, b_known, h, inverse, half, mean_weight, near_m, far_m, score):
-    """Fill ``score`` (H, W), at most 1, of a plane: sample ``b`` through homography ``h``, then running box sums of ten
-    moments. It stays as it is where the plane is out of range or outside ``b``, or either picture is not known."""
+def _correlate(a, a_known, b, b_known, h, inverse, half, mean_weight, near_m, far_m, score):
+    """Fill ``score`` (H, W): sample ``b`` through homography ``h``, then running box sums of ten moments."""
     height, width = a_known.shape
     b_height, b_width = b_known.shape
     moments = np.zeros((height, width, 10), np.float32)
@@ -141,4 +172,5 @@ def correlate(a, a_known, b, b_known, h, inverse, half, mean_weight, near_m, far
                 vb -= mb * mb
                 cov -= ma * mb
                 difference += abs(ma - mb)
-            score[y, x + left] = score_of_window(va, vb, cov, difference, mean_weight)
+            spread = np.sqrt((max(va, np.float32(0)) + _FLAT_VARIANCE) * (max(vb, np.float32(0)) + _FLAT_VARIANCE))
+            score[y, x + left] = (cov + _FLAT_VARIANCE) / spread - mean_weight * min(difference, _MAX_DIFFERENCE)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The compiled trial of primitives for ``photo_cost``: the change of all pixels' nats by one more primitive.
+"""The compiled trial of primitives for ``photo_cost``: the change of all pixels' cost by one more primitive.
 
 Arrays are (V, H, W) for V views; a primitive is seven numbers (``primitives.Primitive.numbers``).
 """
@@ -14,35 +14,68 @@ from studiorecon.depth.stereo.kernels import (
     HIDING_M,
     HIDING_SHARE,
     NEAR_M,
-    NOT_JUDGED,
+    UNSEEN,
     is_hidden,
     primitive_bounds,
     trace_primitive,
     warp_pixel,
-    window_nats,
+    window_cost,
 )
 
-# Nats of a pixel that one camera alone sees and that differs fully from the wall.
-FOREGROUND_NATS = 2.1
+# Gain of a pixel that one camera alone sees and that differs fully from the wall; and of one of an unoccluded object on
+# the floor, which then counts as explained like pixels on which two cameras agree.
+_ODDS_WEIGHT, _STANDING_WEIGHT = 0.3, 0.4
+# An object is unoccluded when so much of its foot has floor in front of it, this many pixels below, and wall on its
+# sides, this many pixels away; its foot is on the floor within so many metres.
+_CLEAR_FOOT, _BELOW, _BESIDE, _STANDING_M = 0.5, 2, 2, 0.03
 
 
 @njit(cache=True, parallel=True)
-def trial_gains(photos, explained, half, mean_weight, primitives):
-    """(N,) nats by which all pixels are explained better with each of N primitives (N, 7) added alone.
+def trial_gains(photos, explained, half, mean_weight, floor_m, primitives):
+    """(N, 3) decrease of the cost of all pixels with each of N primitives (N, 7) added alone, and two parts of it.
 
-    ``photos``: lens, pose, centre, rgb, known; ``explained``: depth, surface, pair, at, z, begin, dependents, nats,
-    foreground (``photo_cost.PhotoCostVolume``).
+    These are, for pixels that show it and that another camera judges, the decrease and the cost before. ``photos``:
+    lens, pose, centre, rgb, known; ``explained``: depth, surface, pair, at, z, begin, dependents, cost, odds
+    (``photo_cost.PhotoCostVolume``); ``floor_m``: height of the floor.
     """
-    found = np.zeros(len(primitives))
+    found = np.zeros((len(primitives), 3))
     for k in prange(len(primitives)):
-        found[k] = _gain(photos, explained, half, mean_weight, primitives[k])
+        found[k, 0], found[k, 1], found[k, 2] = _gain(photos, explained, half, mean_weight, floor_m, primitives[k])
     return found
 
 
 @njit(cache=True)
-def _gain(photos, explained, half, mean_weight, primitive):
+def _is_unoccluded(number, known, surface, odds, top, bottom, left, right):
+    """Whether a trial object (``number`` not 0) shows its whole outline: floor before its foot, wall on either side."""
+    height, width = number.shape
+    foot, clear, beside, total = 0, 0, 0, 0.0
+    for x in range(left, right):
+        low = -1
+        for y in range(top, bottom):
+            if number[y, x] > 0:
+                low = y
+        if low < 0:
+            continue
+        foot += 1
+        y = low + _BELOW
+        if y < height and known[y, x] and number[y, x] == 0 and surface[y, x] == 4 and odds[y, x] < 0:
+            clear += 1
+    for y in range(top, bottom):
+        for x in range(left, right):
+            if number[y, x] == 0:
+                continue
+            for step in (-_BESIDE, _BESIDE):
+                i = x + step
+                if 0 <= i < width and number[y, i] == 0 and known[y, i] and 0 <= surface[y, i] < 6:
+                    total += odds[y, i]
+                    beside += 1
+    return clear >= _CLEAR_FOOT * foot and beside > 0 and total < 0
+
+
+@njit(cache=True)
+def _gain(photos, explained, half, mean_weight, floor_m, primitive):
     lens, pose, centre, rgb, known = photos
-    depth, surface, pair, at, z, begin, dependents, nats, foreground = explained
+    depth, surface, pair, at, z, begin, dependents, cost, odds = explained
     views, height, width = known.shape
     trial = np.zeros((views, height, width), np.float32)
     number = np.zeros((views, height, width), np.int8)
@@ -68,8 +101,9 @@ def _gain(photos, explained, half, mean_weight, primitive):
                     flat_here = y * width + x
                     for entry in range(begin[o, flat_here], begin[o, flat_here + 1]):
                         behind.flat[dependents[o, entry]] = True
-    gain = 0.0
+    gain, shown, before_cost, unlike, clear = 0.0, 0.0, 0.0, 0.0, 0.0
     for v in range(views):
+        before_view = unlike
         # Pixels that now show the primitive.
         top, bottom, left, right = touched[v]
         rows, columns = max(bottom - top, 0), max(right - left, 0)
@@ -94,7 +128,7 @@ def _gain(photos, explained, half, mean_weight, primitive):
                     before = trial[o].flat[flat[y, x]]
                     if before > 0 and before < there[y, x] * (1 - HIDING_SHARE) - HIDING_M:
                         continue
-                    value = window_nats(
+                    value = window_cost(
                         rgb,
                         v,
                         y + top,
@@ -107,20 +141,25 @@ def _gain(photos, explained, half, mean_weight, primitive):
                         half,
                         mean_weight,
                     )
-                    if value < NOT_JUDGED:
+                    if value >= 0:
                         total[y, x] += value
                         count[y, x] += 1
         for y in range(rows):
             for x in range(columns):
                 if number[v, y + top, x + left] == 0 or not known[v, y + top, x + left]:
                     continue
-                was = nats[v, y + top, x + left]
+                was = cost[v, y + top, x + left]
                 if count[y, x] > 0:
-                    gain += was - total[y, x] / count[y, x]
-                elif was < 0:
-                    gain += was
+                    shown += was - total[y, x] / count[y, x]
+                    before_cost += was
+                elif was < UNSEEN:
+                    gain += was - UNSEEN
                 elif surface[v, y + top, x + left] < 6:
-                    gain += FOREGROUND_NATS * foreground[v, y + top, x + left]
+                    unlike += _ODDS_WEIGHT * odds[v, y + top, x + left]
+        own = (unlike - before_view) / _ODDS_WEIGHT
+        stands = own > 0 and primitive[5] <= floor_m + _STANDING_M
+        if stands and _is_unoccluded(number[v], known[v], surface[v], odds[v], top, bottom, left, right):
+            clear += _STANDING_WEIGHT * own
         # Pixels on other surfaces that another camera no longer sees.
         for y in range(height):
             for x in range(width):
@@ -128,7 +167,7 @@ def _gain(photos, explained, half, mean_weight, primitive):
                     continue
                 sum_, n, lost = 0.0, 0, False
                 for o in range(views):
-                    if pair[v, o, y, x] >= NOT_JUDGED:
+                    if pair[v, o, y, x] < 0:
                         continue
                     before = trial[o].flat[at[v, o, y, x]]
                     gone = before > 0 and before < z[v, o, y, x] * (1 - HIDING_SHARE) - HIDING_M
@@ -140,5 +179,8 @@ def _gain(photos, explained, half, mean_weight, primitive):
                         sum_ += pair[v, o, y, x]
                         n += 1
                 if lost:
-                    gain += nats[v, y, x] - (sum_ / n if n else 0.0)
-    return gain
+                    gain += cost[v, y, x] - (sum_ / n if n else UNSEEN)
+    # Dissimilarity extends regions on which cameras agree, and never counts more than them: one photo does not
+    # determine the position of a floating object. It does determine that of an object whose foot it sees.
+    gain += shown
+    return gain + max(min(unlike, max(gain, 0.0)), clear), shown, before_cost
