@@ -10,13 +10,13 @@ import numpy as np
 import pytest
 from studiorecon.camera_files.raw_camera import camera_from_world_of_pose, intrinsics_matrix, rigid_camera_from_world
 from studiorecon.geometry import rotations
-from studiorecon.geometry.bundle import BundleSettings, adjust
+from studiorecon.geometry.bundle import BundleSettings
 from studiorecon.geometry.crop_hypotheses import for_square_pixels
 from studiorecon.geometry.distortion import distort, undistort
 from studiorecon.geometry.triangulation import triangulate
 from studiorecon.scene.camera import Camera, Lens
 
-from tests.made.cameras import LIMITS, look_at, ring, seen
+from tests.made.cameras import LIMITS, adjust, look_at, ring, seen
 
 CAMERA = look_at("c", np.array([4.0, 0.5, 1.5]), [0, 0, 1])
 POINT = np.array([0.3, -0.2, 1.2])

@@ -7,12 +7,12 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from studiorecon.geometry.bundle import BundleSettings, adjust, move_camera, remove_drift
+from studiorecon.geometry.bundle import BundleSettings, move_camera, remove_drift
 from studiorecon.geometry.rotations import exp
 from studiorecon.geometry.triangulation import triangulate
 from studiorecon.keypoints.correspondence import ray_distances, track_groups
 
-from tests.made.cameras import LIMITS, look_at, ring, seen
+from tests.made.cameras import LIMITS, adjust, look_at, ring, seen
 
 RNG = np.random.default_rng
 ONES = np.ones

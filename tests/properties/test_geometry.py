@@ -8,13 +8,13 @@ import pytest
 from hypothesis import assume, given
 from hypothesis import strategies as st
 from studiorecon.geometry import rotations, smoothing
-from studiorecon.geometry.bundle import BundleSettings, adjust
+from studiorecon.geometry.bundle import BundleSettings
 from studiorecon.geometry.camera_path import axis_miss_rad, gaps_around, interpolate_cameras, order_around, scene_centre
 from studiorecon.geometry.triangulation import triangulate
 from studiorecon.scene.camera import Camera
 from studiorecon.survey import coverage
 
-from tests.made.cameras import LIMITS, look_at, ring, seen
+from tests.made.cameras import LIMITS, adjust, look_at, ring, seen
 from tests.properties.moved_worlds import FEW, MANY, World, level_worlds, numbers, turns, worlds
 
 UNEVEN = [

@@ -166,7 +166,8 @@ MORE: list[tuple[Write, list[tuple[str, Write]]]] = [
         (f"{CONTENT} read_people 2", picture(5)),
         (f"{CONTENT} read_people 3", picture({"keypoints_of_person": flat()})),
         (f"{CONTENT} _hands", picture({"pose_keypoints_2d": flat(18), "hand_left_keypoints_2d": flat(3)})),
-        (f"{CONTENT} _points 3", picture({"pose_keypoints_2d": flat()[:-1]})),
+        (f"{CONTENT} _points 3", picture({"pose_keypoints_2d": [[1.0, 2.0, 3.0]] * 17, "keypoint_scores": [1.0] * 17})),
+        (f"{CONTENT} _points 4", picture({"pose_keypoints_2d": flat()[:-1]})),
         (f"{FILES} read_json 1", folder("cam_{}.json", "{")),
     ]),
     (js(LISTED), [

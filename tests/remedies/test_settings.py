@@ -143,8 +143,9 @@ PLANS = [
         Plan(PEOPLE_ONLY, (*CALIBRATION, POINTS[0]), "train: [b, c]"),
         Plan(PEOPLE_ONLY | {"calibration": {"source": "auto"}}, POINTS[:1], "held_out: [a]"),
     )],
+    *settings(f"{CHECKS} _precomputed", {"masks": {"precomputed": "x"}}, {"masks": {"precomputed": ""}}),
     *settings("plan/make.py make_plan", {"scene": "studio"}, {"scene": "studio1"}),
-    *settings("scene/names.py check_name", {"scene": "a/b"}, {"scene": "a b"}),
+    *settings("scene/names.py check_name 1", {"scene": "a/b"}, {"scene": "a b"}),
     *settings("models/catalogue/selection.py check_licences", {"calibration": NETWORK, "licences": "commercial"},
               {"calibration": NETWORK, "licences": "any"}),
 ]  # fmt: skip

@@ -20,7 +20,7 @@ from tests.made.scene import FPS, ring, room
 
 CAMERAS = ring([0, 90, 180, 270], "cam")
 FRAMES = 9
-SCALED = {"fl_x": 100, "w": 10, "h": 10, "frames": [{"transform_matrix": (2 * np.eye(4)).tolist()}]}
+SCALED = {"fl_x": 100, "w": 10, "h": 10, "frames": [{"transform_matrix": np.diag([2.0, 2.0, 2.0, 1.0]).tolist()}]}
 RIGID = {**SCALED, "frames": [{"transform_matrix": np.eye(4).tolist()}]}
 KEYS = [{"picture": 0, "camera": "cam0"}, {"picture": 5, "camera": "cam1"}]
 

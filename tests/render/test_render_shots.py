@@ -187,7 +187,7 @@ def test_a_path_file_is_followed_as_it_stands(tmp_path: Path) -> None:
             "not a rotation",
         ),
         (
-            {"fl_x": 100, "w": 10, "h": 10, "frames": [{"transform_matrix": (2 * np.eye(4)).tolist()}]},
+            {"fl_x": 100, "w": 10, "h": 10, "frames": [{"transform_matrix": np.diag([2.0, 2.0, 2.0, 1.0]).tolist()}]},
             "no rigid pose; remove its scale of 2",
         ),
     ],

@@ -46,9 +46,7 @@ _STABLE = [LAYOUTS[LAYOUT].index(name) for name in STABLE_KEYPOINTS]
 
 @dataclass(frozen=True)
 class Settings(refine.Settings):
-    """As for the training cameras; another pose must lower the error of validation halves by the share ``min_gain``."""
-
-    min_gain: float = 0.1
+    """As for the training cameras."""
 
 
 @dataclass(frozen=True)

@@ -51,8 +51,8 @@ SECTIONS: tuple[Section, ...] = (
         (
             "calibration.network:Settings",
             "calibration.files:Settings",
-            "rig.agreement:AgreementLimits",
-            "rig.agreement:CalibrationPrior",
+            "rig.bundle:AgreementLimits",
+            "rig.bundle:CalibrationPrior",
         ),
     ),
     Section(

@@ -134,12 +134,19 @@ class _Layout:
         of_shared, of_own = np.full(count, len(self.shared)), np.full(count, self.blocks * self.width)
         of_shared[self.shared] = np.arange(len(self.shared))
         of_own[self.own] = self.block * self.width + self.row
-        self.parts = [_Part(f.columns, free, own, of_shared, of_own, self.width, len(self.shared) + 1) for f in factors]
+        self.parts = [
+            _Part(f.columns, free, own, of_shared, of_own, self.width, len(self.shared), self.blocks * self.width**2)
+            for f in factors
+        ]
 
     def equations(self, unknowns: Unknowns) -> _Equations:
         """The normal equations at ``unknowns``."""
         count, rows = len(self.shared) + 1, self.blocks * self.width + 1
-        shared, mixed, blocks = (np.zeros(n) for n in (count * count, rows * count, rows * self.width + 1))
+        shared, mixed, blocks = (
+            np.zeros(count * count),
+            np.zeros(rows * count),
+            np.zeros((rows + 1) * max(self.width, 1)),
+        )
         shared_side, block_side = np.zeros(count), np.zeros(rows)
         for factor, part in zip(self.factors, self.parts, strict=True):
             off = factor.evaluate(unknowns)
@@ -191,12 +198,13 @@ class _Part:
         of_shared: np.ndarray,
         of_own: np.ndarray,
         width: int,
-        count: int,
+        shared: int,
+        nowhere: int,
     ) -> None:
         self.common = np.flatnonzero((free & ~own)[columns].any(0))
         self.alone = np.flatnonzero(own[columns].any(0))
         self.of_common, self.of_alone = of_shared[columns[:, self.common]], of_own[columns[:, self.alone]]
-        self.in_shared = self.of_common[:, :, None] * count + self.of_common[:, None]
-        self.in_mixed = self.of_alone[:, :, None] * count + self.of_common[:, None]
+        self.in_shared = self.of_common[:, :, None] * (shared + 1) + self.of_common[:, None]
+        self.in_mixed = self.of_alone[:, :, None] * (shared + 1) + self.of_common[:, None]
         within = self.of_alone[:, :, None] * width + (self.of_alone % max(width, 1))[:, None]
-        self.in_blocks = np.where(own[columns[:, self.alone]][:, None], within, of_own.max(initial=0) * width)
+        self.in_blocks = np.where(own[columns[:, self.alone]][:, None], within, nowhere)

@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from studiorecon.geometry.bundle import BundleSettings, adjust
+from studiorecon.geometry.bundle import BundleResult, BundleSettings, LensPrior, adjust_with_lenses
 from studiorecon.geometry.relative_pose import (
     essential_matrix,
     is_in_front,
@@ -121,8 +121,8 @@ def propose_rigs(
     return sorted(grown, key=lambda r: (-len(r.cameras), -r.support))
 
 
-def _adjust_rig(rig: Rig, limits: Limits) -> tuple[list[Camera], Num[np.ndarray, "N 3"]]:
-    """The rig's cameras (ascending view) with better poses, and its points, NaN where they did not determine them.
+def _adjust_rig(rig: Rig, limits: Limits) -> tuple[BundleResult, Bool[np.ndarray, " N"]]:
+    """The rig's cameras (ascending view) with better poses, and which points determined them; lenses are guesses yet.
 
     A detector's error of a joint is the same for similar views of the body, so observations are weighted by the number
     of cells of 20 cm in which a joint was seen: a person who does not move is one observation.
@@ -132,11 +132,9 @@ def _adjust_rig(rig: Rig, limits: Limits) -> tuple[list[Camera], Num[np.ndarray,
     key = np.concatenate([rig.seen.group[used, None], rig.seen.keypoint[used, None], cells], axis=1)
     share = len(np.unique(key, axis=0)) / max(int(used.sum()), 1)
     weights = np.where(found.inliers, rig.seen.confidence, 0.0)[:, used] * share
-    points_m = np.full_like(found.points_m, np.nan)
-    better, points_m[used] = adjust(
-        cameras, rig.seen.pixels[:, used], weights, found.points_m[used], unit_px(cameras, limits), _FREE
-    )
-    return better, points_m
+    unit, held = unit_px(cameras, limits), LensPrior(0.0, 0.0)
+    result = adjust_with_lenses(cameras, rig.seen.pixels[:, used], weights, found.points_m[used], unit, _FREE, held)
+    return result, used
 
 
 def bone_factor(
@@ -289,11 +287,13 @@ def _refined_rig(
         rig = Rig(dict(current), found, points, int(points.inliers[:, counted].sum()))
         if round_number == 2:
             break
-        better, points_m = _adjust_rig(rig, limits)
-        factor = bone_factor(points_m, points, found, template_m)
+        better, used = _adjust_rig(rig, limits)
+        all_points = np.full_like(points.points_m, np.nan)
+        all_points[used] = better.points_m
+        factor = bone_factor(all_points, points, found, template_m)
         if factor is None:
             return None
-        current = {v: scale_camera(c, factor) for v, c in zip(views, better)}
+        current = {v: scale_camera(c, factor) for v, c in zip(views, better.cameras)}
     return rig
 
 

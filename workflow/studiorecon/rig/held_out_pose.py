@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """The pose of a held-out camera from people in the other cameras, for judging its pictures.
 
-Its observations move no point and no other camera. As in ``calibrated``, the prior at the given pose has several
+Its observations move no point and no other camera. As in ``moved_cameras``, the prior at the given pose has several
 widths, and the narrower is chosen where it explains the validation halves about as well as the wide one.
 """
 
@@ -18,17 +18,20 @@ from studiorecon.geometry.relative_pose import resection
 from studiorecon.geometry.rotations import exp, log
 from studiorecon.geometry.triangulation import Limits, unit_px
 from studiorecon.keypoints.correspondence import STABLE_KEYPOINTS
-from studiorecon.rig.calibrated import FREE_DEG, FREE_M, FURTHEST_DEG, FURTHEST_M, pose_changes
+from studiorecon.rig.moved_cameras import (
+    FREE_DEG,
+    FREE_M,
+    FURTHEST_DEG,
+    FURTHEST_M,
+    MAX_ERROR_RATIO,
+    VALIDATION_JOINTS,
+    pose_changes,
+)
 from studiorecon.scene.camera import Camera
 
 if TYPE_CHECKING:
     from jaxtyping import Bool, Integer, Num
 
-# How much worse than the best a narrower prior may explain validation halves. Where cameras were not moved, the halves
-# of a real man's clip differed by 2 to 3 % between widths; where they had moved by a degree, by 9 % and more.
-_MAX_ERROR_RATIO = 1.05
-# One joint of every pair: the other half has the other side's, so both halves cover the body.
-_VALIDATION_JOINTS = np.array([k % 4 in (0, 3) for k in range(len(STABLE_KEYPOINTS))])
 _MIN_POINTS = 60
 _MIN_HALF = 20
 _MAX_UNITS = 3.0
@@ -101,7 +104,7 @@ def estimate_held_out_pose(
     errors = [_validation_error(start, given, seen, unit, rung) for rung in rungs]
     if not min(errors) < (1 - gain) * as_given:
         return HeldOutPose(given, len(seen.frame), before_px, before_px, 0.0, 0.0, True)
-    chosen = next(k for k, error in enumerate(errors) if error <= _MAX_ERROR_RATIO * min(errors))
+    chosen = next(k for k, error in enumerate(errors) if error <= MAX_ERROR_RATIO * min(errors))
     found = _fit_pose(start, given, seen, unit, rungs[chosen])
     degrees, metres = pose_changes([found], [given])
     if degrees[0] > FURTHEST_DEG or metres[0] > FURTHEST_M:
@@ -147,7 +150,7 @@ def _validation_error(
     ``rung`` None: of the given pose, which is not fitted.
     """
     early = seen.frame <= np.median(seen.frame)
-    half = _VALIDATION_JOINTS[seen.keypoint]
+    half = VALIDATION_JOINTS[seen.keypoint]
     errors = []
     for fit_on in (early, ~early, half, ~half):
         if min(fit_on.sum(), (~fit_on).sum()) < _MIN_HALF:
