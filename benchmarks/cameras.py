@@ -201,7 +201,7 @@ def real_doctor(data: Path, take: str, out: Path) -> tuple[dict[str, Any], list[
     reported = {
         "verdict": report["verdict"],
         "advice": report["advice"],
-        "lags": {c: v["frames"] for c, v in report["lags_frames"].items()},
+        "lags": {c: v["frames"] for c, v in report["sync"]["lags_frames"].items()},
     }
     return {**cost, **reported}, [c for c, _ in both], [d for _, d in both], lenses
 
