@@ -33,6 +33,12 @@ PLANNED: dict[str, set[str] | None] = {
     "licences": set(),
     "people.identities": None,
     "detect.network": None,  # one that has to be there
+    # A folder is refused without the source that reads it.
+    "detect.precomputed": None,
+    "masks.precomputed": None,
+    "depth.precomputed": None,
+    "views.precomputed": None,
+    "enhance.precomputed": None,
     "detect.network_layout": {"detect_moments", "detect_people", "people_second_look", "cameras_held_out"},
     "depth.reference": None,  # another calibration's
     "views.people": None,  # of masks by a network

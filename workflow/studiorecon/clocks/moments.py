@@ -36,7 +36,7 @@ _APART_S = 15.0
 _MOTION_S = 20.0, 90.0
 # Most stretches of a take: enough where somebody is in one of six.
 _MOST = 20
-# Shorter films are looked at whole: longer by this factor than the three stretches that are looked at of any film.
+# At least three stretches of a film are searched; a film of at most this multiple of their seconds is searched whole.
 _WHOLE = 4 / 3
 # Stretches of one film nearer than this are one: the pictures between are decoded anyway.
 _JOINED_S = 0.5

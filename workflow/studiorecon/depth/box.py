@@ -113,8 +113,7 @@ def run(settings: Settings, model: Path, plates: list[Path], sweeps: list[Path],
         fitted = _on_lower_floor(fitted, raised, pictures, settings)
     fitted, _ = complete_room(fitted, pictures, cameras, plates, swept, np.zeros((0, 2)), settings.far_m)
     for name, face, is_fitted, score in zip(FACES, fitted.faces, fitted.fitted, fitted.score):
-        why = f"at {face[3]:.3f} m (correlation {score:.2f})" if is_fitted else "is on no photo"
-        say(f"{name} {why}")
+        say(f"{name} at {face[3]:.3f} m (correlation {score:.2f})" if is_fitted else f"{name}: no photos match there")
     write_room(box, replace(fitted, gains={c.name: g for c, g in zip(cameras, swept.gains)}))
 
 

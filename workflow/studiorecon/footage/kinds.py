@@ -44,7 +44,7 @@ def is_film(path: Path) -> bool:
     """Whether a file is a film: by its suffix, so that a damaged one is reported, else by its content."""
     if path.suffix.lower() in film_suffixes():
         return True
-    # Files of /proc have no bytes, and some of them block whoever opens them.
+    # Files of /proc have no bytes, and opening some of them never returns.
     if path.suffix.lower() in _SOUND | _UNFINISHED or not path.is_file() or not path.stat().st_size:
         return False
     try:

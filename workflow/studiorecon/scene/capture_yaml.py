@@ -25,7 +25,7 @@ T = TypeVar("T")
 MAX_PEOPLE = 100
 # Focal lengths in pixels: lenses have smaller numbers in millimetres, and no telescope a larger one.
 MIN_FOCAL_PX, MAX_FOCAL_PX = 50.0, 1e6
-_HEIGHTS_M = MIN_HEIGHT_M, MAX_HEIGHT_M = 0.5, 2.8
+MIN_HEIGHT_M, MAX_HEIGHT_M = 0.5, 2.8
 MAX_DISTANCE_M = 1000.0
 # Eleven days at 100 frames per second.
 _MAX_FRAMES = 10**8
@@ -190,7 +190,9 @@ def measured_lengths(description: dict[str, Any], footage: Mapping[str, Path]) -
         table = heights if isinstance(heights, dict) else {"": heights}
         what = f"somebody's height in metres, {MIN_HEIGHT_M:g} to {MAX_HEIGHT_M:g}"
         found["height_m"] = {
-            str(person): number(value, f"capture.yaml: height_m{' of ' * bool(person)}{person}", *_HEIGHTS_M, what)
+            str(person): number(
+                value, f"capture.yaml: height_m{f' of {person}' if person else ''}", MIN_HEIGHT_M, MAX_HEIGHT_M, what
+            )
             for person, value in table.items()
         }
     if (distance := description.get("distance_m")) is not None:

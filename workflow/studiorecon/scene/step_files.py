@@ -24,14 +24,17 @@ if TYPE_CHECKING:
 
 T = TypeVar("T")
 
-_AS_IT_IS: Callable[[Any], Any] = lambda values: values  # noqa: E731 (a name for a default)
 CURE = "delete it, and the next run makes it again"
+
+
+def _unchanged(values: Any) -> Any:
+    return values
 
 
 def read(
     path: Path,
     schema: Schema,
-    made: Callable[[Any], T] = _AS_IT_IS,
+    made: Callable[[Any], T] = _unchanged,
     *,
     names: Iterable[str] | None = None,
     but: Container[str] = (),

@@ -28,26 +28,9 @@ from studiorecon.scene.user_files import MAX_TEXT_BYTES, read_bytes
 from studiorecon.scene.user_values import as_list, short_text
 
 # What is read of a camera, and what else EasyMocap and EasyVolcap write of it.
-_ENTRIES = (
-    "K",
-    "dist",
-    "D",
-    "rdist",
-    "R",
-    "Rot",
-    "T",
-    "W",
-    "H",
-    "t",
-    "v",
-    "n",
-    "f",
-    "ccm",
-    "bounds",
-    "invK",
-    "RT",
-    "P",
-)
+_ENTRIES = [
+    "K", "dist", "D", "rdist", "R", "Rot", "T", "W", "H", "t", "v", "n", "f", "ccm", "bounds", "invK", "RT", "P",
+]  # fmt: skip
 
 
 def recognises(files: list[Path]) -> bool:

@@ -77,7 +77,7 @@ def select_networks(config: Mapping[str, Any]) -> list[tuple[str, str]]:
 
 
 def networks_of_step(step: str, config: Mapping[str, Any]) -> list[str]:
-    """Names of the networks that ``"stage.step"`` runs under this configuration, but LPIPS."""
+    """Names of the networks that ``"stage.step"`` runs under this configuration, except LPIPS."""
     names = [str(setting_at(config, where)) for where, choice in CHOICES.items() if step in choice.steps]
     # Networks of another stage's setting, which the rule passes on.
     names += [str(setting_at(config, "depth.source"))] if step == "people.lift" else []
