@@ -219,7 +219,7 @@ def camera_films(made: bool) -> Call:
 def second_run(wait: bool) -> Call:
     def call(_: Path) -> None:
         try:
-            runs.start_run("takes", "", ["sleep", "3" if not wait else "0.01"])
+            runs.start_run("takes", "", [sys.executable, "-c", f"import time; time.sleep({0.01 if wait else 3})"])
             while wait and runs.current_run():
                 runs.time.sleep(0.01)
             runs.start_run("takes", "", [sys.executable, "-c", ""])
