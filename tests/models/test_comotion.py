@@ -85,6 +85,36 @@ def test_the_network_is_given_the_cameras_own_intrinsics() -> None:
     assert found.confidences[0] == pytest.approx(0.9526, abs=1e-3)
 
 
+def test_upstreams_clean_up_says_where_a_track_begins_and_ends(monkeypatch: pytest.MonkeyPatch) -> None:
+    torch = pytest.importorskip("torch", reason="torch is not installed")
+    camera = room_views((192, 108))[0][0]
+    planted = slots([1, 2])
+    given = {}
+
+    def cleanup_tracks(preds: dict, intrinsics: object, decoder: object, min_matched_frames: int) -> dict:
+        given.update(preds["tracks"], detections=len(preds["detections"]["conf"]), least=min_matched_frames)
+        return {2: [1, 2]}
+
+    def network(*_: object) -> tuple[dict, SimpleNamespace]:
+        state = {name: torch.from_numpy(values)[None] for name, values in planted.items()}
+        state["id"] = state["id"][..., None]
+        detections = {"pred_2d": torch.from_numpy(planted["pred_2d"])[None], "conf": torch.full((1, 2, 1), 3.0)}
+        return detections, SimpleNamespace(**state)
+
+    network.init_tracks, network.smpl_decoder = lambda size: None, torch.nn.Identity()  # type: ignore[attr-defined]
+    track = SimpleNamespace(cleanup_tracks=cleanup_tracks)
+    monkeypatch.setattr(comotion, "import_upstream", lambda card, name: track)
+    estimator = comotion.Comotion.__new__(comotion.Comotion)
+    estimator._network = network
+    frames = [np.zeros((108, 192, 3), np.uint8)] * 3
+    found = list(estimator.bodies(frames, camera.intrinsics))
+    assert [bodies.tracks.tolist() for bodies in found] == [[], [1], []]
+    assert given["least"] == 1
+    assert given["detections"] == 3
+    assert [given[name].shape for name in ("id", "pose")] == [(1, 3, 2, 1), (1, 3, 2, 72)]
+    assert list(estimator.bodies([], camera.intrinsics)) == []
+
+
 def test_smpls_file_that_upstream_misses_at_import_is_a_sentence(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

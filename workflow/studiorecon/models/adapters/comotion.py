@@ -3,14 +3,14 @@
 
 Used as a class, with the camera's own intrinsics: its command line assumes a focal length of twice the longer side,
 which also determines depth. Upstream does not detect cuts, so a clip must have none. Its 2D points are projections of
-its own bodies: a monocular prior, not evidence. Upstream's demo cleans up tracks after the whole clip; here they stay
-as they are, including short false ones, and the association of cameras rejects those.
+its own bodies: a monocular prior, not evidence. Tracks are cleaned up after the whole clip, as upstream's demo does.
 """
 
 from __future__ import annotations
 
+import copy
 import math
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -86,6 +86,7 @@ _ROWS = {
 }  # fmt: skip
 # Ids become tracks, whose parts are numbered from a million on; a million frames are hours.
 _MAX_NUMBER = 10**6 - 1
+_STATE = ("id", "betas", "pose", "trans")
 _STORED = ("id", "frame_idx", "pose", "betas", "trans", "pred_2d", "pred_3d")
 _FIELDS = {"id": (), "pose": (72,), "betas": (10,), "trans": (3,), "pred_3d": (JOINTS, 3), "pred_2d": (JOINTS, 2)}
 
@@ -211,13 +212,47 @@ class Comotion:
     def bodies(
         self, frames: Iterable[Integer[np.ndarray, "H W 3"]], intrinsics: Num[np.ndarray, "3 3"]
     ) -> Iterator[Bodies]:
-        """The bodies of every frame; see ``models.protocols.BodyEstimator``."""
-        started = False
+        """The bodies of every frame; see ``models.protocols.BodyEstimator``. The clip is searched before the first."""
+        states, inputs = [], None
         for frame in frames:
-            if not started:
+            if inputs is None:
                 self._network.init_tracks(frame.shape[:2])
-                started = True
-            yield postprocess(*estimate_frame(self._network, *preprocess(frame, intrinsics)))
+            picture, inputs = preprocess(frame, intrinsics)
+            states.append(estimate_frame(self._network, picture, inputs))
+        spans = {} if inputs is None else clean_up(self._network, states, inputs)
+        for number, (slots, points, logits) in enumerate(states):
+            kept = [start <= number < end for start, end in (spans.get(int(track), (0, 0)) for track in slots["id"])]
+            yield postprocess({**slots, "id": np.where(kept, slots["id"], 0)}, points, logits)
+
+
+def clean_up(
+    network: Any,
+    states: Sequence[tuple[dict[str, Shaped[np.ndarray, " ..."]], Num[np.ndarray, "n 27 2"], Num[np.ndarray, " n"]]],
+    intrinsics: Float[np.ndarray, "2 3"],
+) -> dict[int, tuple[int, int]]:
+    """The first frame and the end of every track to keep, by upstream's ``cleanup_tracks`` with its demo's value.
+
+    A track begins and ends with a detection that is no other track's; one without any is left out. ``states`` are
+    those of ``estimate_frame``, one per frame of the clip.
+    """
+    if not any(len(points) for _, points, _ in states):
+        return {}  # upstream's function needs one detection
+    import torch
+
+    clean = attribute(CARD, import_upstream(CARD, "comotion_demo.utils.track"), "cleanup_tracks")
+    tracks = {name: torch.from_numpy(np.stack([slots[name] for slots, *_ in states]))[None] for name in _STATE}
+    tracks["id"] = tracks["id"][..., None]
+    detections = {
+        "pred_2d": [torch.from_numpy(points)[None] for _, points, _ in states],
+        "conf": [torch.from_numpy(logits)[None, :, None] for *_, logits in states],
+    }
+    # A copy, since upstream's ``.cpu()`` would take the decoder from a network on a GPU.
+    decoder = copy.deepcopy(network.smpl_decoder).cpu()
+    with torch.inference_mode():
+        spans = clean(
+            {"detections": detections, "tracks": tracks}, torch.from_numpy(intrinsics), decoder, min_matched_frames=1
+        )
+    return {int(track): (int(first), int(end)) for track, (first, end) in spans.items()}
 
 
 def estimate_frame(
