@@ -180,3 +180,20 @@ def test_names_keep_their_blanks_and_their_accents(tmp_path, suffix):
     model = rig_model([camera])
     model.write_binary(str(tmp_path)) if suffix == ".bin" else model.write_text(str(tmp_path))
     assert [found.name for found in posed_pictures(colmap_files(tmp_path / f"images{suffix}"))] == [camera.name]
+
+
+def test_the_user_s_points_stay_as_they_are(tmp_path):
+    rig_model(ring()).write_binary(str(tmp_path))
+    points = tmp_path / "points3D.bin"
+    points.write_bytes(b"a gigabyte of points")
+    assert calibration.read_calibration([tmp_path / "cameras.bin", tmp_path / "images.bin", points]).format == "COLMAP"
+    assert points.read_bytes() == b"a gigabyte of points"
+
+
+@pytest.mark.parametrize("suffix", [".txt", ".bin"])
+def test_files_may_have_names_in_any_case(tmp_path, suffix):
+    model = rig_model(ring())
+    model.write_text(str(tmp_path)) if suffix == ".txt" else model.write_binary(str(tmp_path))
+    files = [path.rename(path.with_name(path.name.upper())) for path in sorted(tmp_path.iterdir())]
+    found = calibration.read_calibration([path for path in files if "POINTS" not in path.name])
+    assert [camera.name for camera in found.cameras] == [camera.name for camera in ring()]

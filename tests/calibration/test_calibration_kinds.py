@@ -77,8 +77,15 @@ def test_tables_without_names_are_called_after_their_keys(tmp_path):
     assert [c.name for c in read_calibration([path]).cameras] == ["left", "right"]
     for size in ('["1280", "704"]', "[1280]"):
         path.write_text(table.format("left").replace("[1280, 704]", size))
-        with pytest.raises(UserError, match=r"camera left .*: size"):
+        with pytest.raises(UserError, match=r"camera left .*: its size"):
             read_calibration([path])
+
+
+def test_a_file_of_cameras_may_have_the_ending_of_transforms(tmp_path):
+    camera = {"K": np.diag([900.0, 900.0, 1.0]).tolist(), "R": np.eye(3).tolist(), "T": [0.0, 0.0, 4.0]}
+    path = tmp_path / "calibration.json"
+    path.write_text(json.dumps({"left": camera, "right": camera}))
+    assert [c.name for c in read_calibration([path]).cameras] == ["left", "right"]
 
 
 @pytest.mark.parametrize(

@@ -8,7 +8,7 @@ from dataclasses import replace
 import cv2
 import numpy as np
 import pytest
-from studiorecon.camera_files.raw_camera import camera_from_world_of_pose, intrinsics_matrix, rigid_camera_from_world
+from studiorecon.camera_files.raw_camera import camera_from_world_of_pose, raw_camera, rigid_camera_from_world
 from studiorecon.geometry import rotations
 from studiorecon.geometry.bundle import BundleSettings
 from studiorecon.geometry.crop_hypotheses import for_square_pixels
@@ -33,7 +33,7 @@ def test_c01_a_rotation_written_with_three_digits_is_made_a_rotation_again():
 
 
 def test_c02_both_directions_of_a_pose_are_distinguished_by_name():  # C02 naive: 5.67 m off
-    pose = camera_from_world_of_pose(CAMERA.world_from_camera, "x")
+    pose, _ = camera_from_world_of_pose(CAMERA.world_from_camera, "x")
     assert np.abs(pose - CAMERA.camera_from_world).max() < 1e-12
     loaded, naive = (Camera("c", CAMERA.wh, CAMERA.intrinsics, m) for m in (pose, CAMERA.world_from_camera))
     pixel, depth = CAMERA.project(POINT)
@@ -102,7 +102,7 @@ def test_c05_a_point_behind_the_camera_is_not_seen():  # C05 naive: pixel (540, 
 def test_resizing_keeps_the_ray_of_every_pixel_centre(
     scale,
 ):  # C07 naive: cx · s with integer centres is 0.25 to 0.5 px off
-    at_integers = intrinsics_matrix(1000, 1000, 639.5, 351.5, integer_centres=True)
+    at_integers = raw_camera("c", "x", (1280, 704), (1000, 1000, 639.5, 351.5), (np.eye(4), 1.0)).intrinsics
     camera = Camera("c", (1280, 704), at_integers, np.eye(4)).resized((int(1280 * scale), int(704 * scale)))
     assert camera.principal_px[0] == pytest.approx(scale * 639.5 + (scale - 1) / 2 + 0.5)
 

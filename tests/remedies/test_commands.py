@@ -10,12 +10,10 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-import numpy as np
 import pytest
 from starlette.responses import PlainTextResponse
 from studiorecon import __main__ as steps
 from studiorecon.board.pattern import read_board
-from studiorecon.camera_files.raw_camera import rigid_camera_from_world
 from studiorecon.cli import command
 from studiorecon.cli.snakemake_call import preset_file
 from studiorecon.cli.takes import open_takes
@@ -297,9 +295,6 @@ ROWS: list[tuple[Any, ...]] = [
     ("scene/people.py read_given_identities 2", identities("camera\ttrack\tperson\na\t3\tp0\na\t3\tp1\n"),
      identities("camera\ttrack\tperson\na\t3\tp0\n")),
     ("scene/numbered_files.py pictures_in", numbered("1.png", "01.png"), numbered("1.png", "2.png")),
-    ("camera_files/raw_camera.py rigid_camera_from_world 1",
-     lambda _: rigid_camera_from_world(np.full((3, 3), np.nan), np.zeros(3), "a.json"),
-     lambda _: rigid_camera_from_world(np.eye(3), np.zeros(3), "a.json")),
     ("scene/people.py read_given_identities 3", identities("camera\ttrack\tperson\n"),
      identities("camera\ttrack\tperson\na\t3\tp0\n")),
     (f"{FILES} read_rows 1", table("camera\n"), table("camera\ttrack\n")),

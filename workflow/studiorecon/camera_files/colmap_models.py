@@ -15,8 +15,8 @@ from typing import Any
 
 import numpy as np
 
-from studiorecon.camera_files.lens_kinds import canonical_lens_model, coefficients
-from studiorecon.camera_files.raw_camera import RawCamera, intrinsics_matrix, rigid_camera_from_world
+from studiorecon.camera_files.lens_kinds import canonical_lens_model
+from studiorecon.camera_files.raw_camera import RawCamera, camera_from_world_of_rows, raw_camera
 from studiorecon.errors import UserError
 from studiorecon.machine.libraries import install_remedy
 
@@ -32,17 +32,20 @@ def posed_pictures(files: Sequence[Path]) -> list[RawCamera]:
     cannot read or that are truncated, for lens models that this project lacks.
     """
     folder = files[0].parent
-    model = _read(files)
+    # Points are not read; a link to the user's would be written through below.
+    model = _read([file for file in files if file.stem.lower() != "points3d"])
     cameras = []
     for index in sorted(index for index, image in model.images.items() if image.has_pose):
         image = model.images[index]
         where = f"picture {image.name} of the COLMAP model in {folder}"
-        wh, intrinsics, kind, distortion = _lens(model.cameras[image.camera_id], folder)
-        block = image.cam_from_world().matrix()
-        pose, _ = rigid_camera_from_world(block[:, :3], block[:, 3], where)
-        cameras.append(
-            RawCamera(camera_name(image.name.replace(_NO_BREAK, " ")), wh, intrinsics, kind, distortion, pose)
-        )
+        pose = camera_from_world_of_rows(image.cam_from_world().matrix(), where)
+        name, camera = camera_name(image.name.replace(_NO_BREAK, " ")), model.cameras[image.camera_id]
+        lens = (camera.focal_length_x, camera.focal_length_y, camera.principal_point_x, camera.principal_point_y)
+        where = f"camera {camera.camera_id} of the COLMAP model in {folder}"
+        # Each of COLMAP's models has the first coefficients of its kind.
+        terms = [camera.params[i] for i in camera.extra_params_idxs()]
+        kind, wh = canonical_lens_model(camera.model.name, where), (camera.width, camera.height)
+        cameras.append(raw_camera(name, where, wh, lens, pose, terms, kind, integer_centres=False))
     return cameras
 
 
@@ -61,16 +64,16 @@ def _read(files: Sequence[Path]) -> Any:
             f"{files[0].parent} holds a COLMAP model, which the package pycolmap reads, and "
             f"that cannot be loaded here ({error}); {install_remedy('pycolmap')}"
         ) from None
-    suffix = files[0].suffix
+    suffix = files[0].suffix.lower()
     with tempfile.TemporaryDirectory() as name:
         read, written = Path(name) / "read", Path(name) / "written"
         read.mkdir()
         written.mkdir()
         for file in files:
-            if file.name == "images.txt":
-                _with_whole_names(file, read / file.name)
+            if file.name.lower() == "images.txt":
+                _with_whole_names(file, read / "images.txt")
             else:
-                (read / file.name).symlink_to(file.resolve())
+                (read / file.name.lower()).symlink_to(file.resolve())
         (read / f"points3D{suffix}").write_bytes(bytes(8) if suffix == ".bin" else b"")
         try:
             model = pycolmap.Reconstruction(str(read))
@@ -86,7 +89,7 @@ def _read(files: Sequence[Path]) -> Any:
             # written again, shows it.
             model.write_binary(str(written))
             for file in files:
-                if (written / file.name).stat().st_size > file.stat().st_size:
+                if (written / file.name.lower()).stat().st_size > file.stat().st_size:
                     raise UserError(f"{file} ends in the middle of an entry; copy it again")
     return model
 
@@ -122,15 +125,3 @@ def _is_picture(fields: Sequence[str]) -> bool:
         return len(fields) > 9 and not np.isfinite(float(fields[9].split()[0]))
     except ValueError:
         return True
-
-
-def _lens(camera: Any, folder: Path) -> tuple[tuple[int, int], np.ndarray, str, np.ndarray]:
-    """Size, intrinsics, model and coefficients in this project's conventions."""
-    where = f"camera {camera.camera_id} of the COLMAP model in {folder}"
-    kind = canonical_lens_model(camera.model.name, where)
-    # Each of COLMAP's models has the first coefficients of its kind.
-    further = [camera.params[i] for i in camera.extra_params_idxs()]
-    distortion = coefficients(kind, further, where)
-    focal = (camera.focal_length_x, camera.focal_length_y)
-    centre = (camera.principal_point_x, camera.principal_point_y)
-    return (camera.width, camera.height), intrinsics_matrix(*focal, *centre, integer_centres=False), kind, distortion

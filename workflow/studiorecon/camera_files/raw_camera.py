@@ -9,14 +9,17 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from studiorecon.camera_files.lens_kinds import coefficients
 from studiorecon.errors import UserError
 from studiorecon.geometry.rotations import exp, project_to_so3
 from studiorecon.scene.capture_yaml import MAX_FOCAL_PX, MIN_FOCAL_PX
-from studiorecon.scene.user_values import numbers
+from studiorecon.scene.user_values import numbers, short_text
 
 if TYPE_CHECKING:
     from jaxtyping import Float, Num
 
+Pose = tuple[np.ndarray, float]
+"""``camera_from_world`` (4, 4), rigid, and the scale that its rotation had in the file."""
 _MAX_SCALE = 1e9
 _AGAIN = "calibrate this camera again"
 # Share of the longer side of the picture. Lower values belong to lenses of 160° without any distortion, higher ones to
@@ -36,6 +39,8 @@ _MAX_APART = 1.2
 _MAX_SKEW = 0.01
 # Largest error, after a file's rounding, of a number that should be 0 or 1.
 _ROUNDING = 1e-6
+# Rotations of three digits are scaled by less.
+_MAX_UNSAID_SCALE = 1e-3
 
 
 @dataclass(frozen=True)
@@ -47,6 +52,7 @@ class RawCamera:
         intrinsics: pixel centres at +0.5; ``check_camera`` removes scale and skew of the file.
         model, distortion: as in ``scene.camera.Lens``.
         camera_from_world: rigid, OpenCV axes.
+        scale: of the file's pose, which was removed.
     """
 
     name: str
@@ -55,21 +61,12 @@ class RawCamera:
     model: str
     distortion: Num[np.ndarray, " C"]
     camera_from_world: Num[np.ndarray, "4 4"]
+    scale: float = 1.0
 
 
 def _focal_range_px(wh: tuple[int, int]) -> tuple[float, float]:
     longer = max(wh)
     return (_MIN_FOCAL * longer, _MAX_FOCAL * longer) if longer else (MIN_FOCAL_PX, MAX_FOCAL_PX)
-
-
-def pose_rows(block: Num[np.ndarray, "R C"], where: str) -> Float[np.ndarray, "3 4"]:
-    """The rotation and translation of a 3×4 or 4×4 pose; raises UserError for another shape or last row."""
-    if block.size not in (12, 16) or not np.isfinite(block).all():
-        raise UserError(f"{where}: its pose holds {block.size} numbers, or some that are not finite; write 3×4 or 4×4")
-    rows = block.reshape(-1, 4)
-    if not np.allclose(rows[3:], [0, 0, 0, 1]):
-        raise UserError(f"{where}: the last row of its pose is {rows[3].tolist()}; it must be 0 0 0 1")
-    return rows[:3]
 
 
 def check_focal_px(given: Mapping[str, float], size: Mapping[str, tuple[int, int]]) -> Mapping[str, float]:
@@ -94,6 +91,8 @@ def check_camera(name: str, camera: RawCamera, source: str) -> tuple[RawCamera, 
     if min(camera.wh) < 0 or longer > _MAX_SIDE_PX or (0 in camera.wh and longer):
         raise UserError(f"{where}: its pictures are {camera.wh[0]}×{camera.wh[1]} pixels; correct the size")
     intrinsics, notes = _pinhole(camera.intrinsics, where)
+    if abs(camera.scale - 1) > _MAX_UNSAID_SCALE:
+        notes.append(f"{where}: a scale of {camera.scale:.4g} was removed from its rotation")
     least, most = _focal_range_px(camera.wh)
     for axis, focal in (("fx", intrinsics[0, 0]), ("fy", intrinsics[1, 1])):
         if not least <= focal <= most:
@@ -153,86 +152,97 @@ def _pinhole(matrix: Num[np.ndarray, "3 3"], where: str) -> tuple[Float[np.ndarr
     return intrinsics, notes
 
 
-def intrinsics_matrix(fx: float, fy: float, cx: float, cy: float, integer_centres: bool) -> Num[np.ndarray, "3 3"]:
-    """Intrinsics with pixel centres at +0.5; ``integer_centres``: the file has them at whole numbers (C07)."""
-    shift = 0.5 if integer_centres else 0.0
-    return np.array([[fx, 0.0, cx + shift], [0.0, fy, cy + shift], [0.0, 0.0, 1.0]])
+def raw_camera(
+    name: str,
+    where: str,
+    wh: object,
+    intrinsics: object,
+    pose: Pose,
+    distortion: object = None,
+    model: str = "opencv",
+    *,
+    integer_centres: bool = True,
+) -> RawCamera:
+    """The camera of a file whose values are not checked yet; ``where`` begins the sentences of refusals.
 
-
-def unadjusted_intrinsics(matrix: object, where: str, integer_centres: bool = True) -> Float[np.ndarray, "3 3"]:
-    """Camera matrix of a file with pixel centres at +0.5, its scale and skew still in it for ``check_camera``.
-
-    Raises UserError unless it is a 3×3 list of finite numbers.
+    ``wh``: two numbers; ``intrinsics``: 3×3, or fx, fy, cx, cy; ``integer_centres``: the file has pixel centres at
+    whole numbers, not at +0.5 (C07). Raises UserError unless these are numbers, as many as there must be.
     """
-    given = numbers(matrix, f"{where}: its camera matrix")
-    if given.size != 9:
-        raise UserError(f"{where}: its camera matrix holds {given.size} numbers; it must be 3×3")
+    size = numbers(wh, f"{where}: its size").reshape(-1)
+    if len(size) != 2 or (size % 1).any():
+        raise UserError(f"{where}: its size is {short_text(size.tolist())}; it must be width and height in pixels")
+    given = numbers(intrinsics, f"{where}: its camera matrix").reshape(-1)
+    if len(given) == 4:
+        given = np.array([given[0], 0, given[2], 0, given[1], given[3], 0, 0, 1])
+    if len(given) != 9:
+        raise UserError(f"{where}: its camera matrix holds {len(given)} numbers; it must be 3×3")
     shift = np.eye(3)
     shift[:2, 2] = 0.5 if integer_centres else 0.0
-    return shift @ given.reshape(3, 3)
+    terms = coefficients(model, distortion, where)
+    return RawCamera(name, (int(size[0]), int(size[1])), shift @ given.reshape(3, 3), model, terms, *pose)
 
 
-def finite_vector(value: object, where: str) -> Float[np.ndarray, " 3"]:
-    """Finite numbers of a file; raises UserError."""
-    given = numbers(value, where)
-    if given.size != 3:
-        raise UserError(f"{where} holds {given.size} numbers; it must be 3")
-    return given.reshape(3)
-
-
-def rotation_from_file(value: object, where: str) -> Float[np.ndarray, "3 3"]:
-    """The rotation of a matrix, which is not checked, or of an axis times angle in radians."""
-    given = numbers(value, where)
-    if given.size not in (3, 9):
-        raise UserError(f"{where} holds {given.size} numbers; a rotation is 3×3, or an axis times its angle")
-    if given.size == 3 and np.linalg.norm(given) > 2 * np.pi:
-        raise UserError(
-            f"{where} is an axis times an angle of {np.linalg.norm(given):.4g}, more than a full turn in radians; "
-            "write radians, not degrees"
-        )
-    return given.reshape(3, 3) if given.size == 9 else exp(given.reshape(3))
-
-
-def rigid_camera_from_world(
-    rotation: Num[np.ndarray, "3 3"], translation: Num[np.ndarray, "3 ..."], where: str
-) -> tuple[Float[np.ndarray, "4 4"], float]:
+def rigid_camera_from_world(rotation: object, translation: object, where: str) -> Pose:
     """Rigid transform of x_camera = rotation · X + translation, and the scale that was factored out.
 
-    A uniformly scaled block [cR | ct] gives the same picture as [R | t]. The rotation is projected to the nearest one
-    (C01). Raises UserError for a reflection, and for a block that is not a scaled rotation.
+    ``rotation``: 3×3, or an axis times its angle in radians. A uniformly scaled block [cR | ct] gives the same picture
+    as [R | t]. The rotation is projected to the nearest one (C01). Raises UserError for a reflection, for a block that
+    is not a scaled rotation, and for other numbers than these.
     """
-    rotation, translation = (
-        np.asarray(rotation, dtype=np.float64).reshape(3, 3),
-        np.asarray(translation, dtype=np.float64).reshape(3),
-    )
-    if not (np.isfinite(rotation).all() and np.isfinite(translation).all()):
-        raise UserError(f"{where}: the pose holds a number that is not finite; {_AGAIN}")
+    block, shift = numbers(rotation, f"{where}: its rotation"), numbers(translation, f"{where}: its translation")
+    for what, given, counts in (("rotation", block, (3, 9)), ("translation", shift, (3,))):
+        if given.size not in counts:
+            wanted = "3×3, or an axis times its angle" if len(counts) > 1 else "3 numbers"
+            raise UserError(f"{where}: its {what} holds {given.size} numbers; it must be {wanted}")
+    if block.size == 3 and np.linalg.norm(block) > 2 * np.pi:
+        raise UserError(
+            f"{where}: its rotation is an axis times an angle of {np.linalg.norm(block):.4g}, more than a full turn in "
+            "radians; write radians, not degrees"
+        )
+    block = block.reshape(3, 3) if block.size == 9 else exp(block.reshape(3))
     # A damaged number may have any size: overflow is refused below.
     with np.errstate(all="ignore"):
-        determinant = np.linalg.det(rotation)
-    if not (np.isfinite(determinant) and determinant != 0 and np.abs(rotation).max() < _MAX_SCALE):
-        raise UserError(f"{where}: the 3×3 block is no rotation (it holds {np.abs(rotation).max():.3g}); {_AGAIN}")
+        determinant = np.linalg.det(block)
+    if not (np.isfinite(determinant) and determinant != 0 and np.abs(block).max() < _MAX_SCALE):
+        raise UserError(f"{where}: the 3×3 block is no rotation (it holds {np.abs(block).max():.3g}); {_AGAIN}")
     if determinant < 0:
         raise UserError(
             f"{where}: the rotation has determinant {determinant:.3g}, a mirror image and not a camera; "
             "an axis was negated once too often when the file was written"
         )
     scale = determinant ** (1 / 3)
-    unscaled = rotation / scale
-    off = np.abs(unscaled.T @ unscaled - np.eye(3)).max()
+    off = np.abs((block / scale).T @ (block / scale) - np.eye(3)).max()
     if off > 0.02:
         raise UserError(
             f"{where}: the 3×3 block is not a rotation (RᵀR differs from I by "
             f"{off:.3f}); check the order of its numbers"
         )
     pose = np.eye(4)
-    pose[:3, :3], pose[:3, 3] = project_to_so3(unscaled), translation / scale
+    pose[:3, :3], pose[:3, 3] = project_to_so3(block / scale), shift.reshape(3) / scale
     return pose, float(scale)
 
 
-def camera_from_world_of_pose(world_from_camera: Num[np.ndarray, "R 4"], where: str) -> Num[np.ndarray, "4 4"]:
-    """Rigid ``camera_from_world`` of a (3|4, 4) ``world_from_camera`` whose rotation block may include a scale."""
-    block = np.asarray(world_from_camera, dtype=np.float64)
-    inverse, _ = rigid_camera_from_world(block[:3, :3].T, np.zeros(3), where)
-    inverse[:3, 3] = -inverse[:3, :3] @ block[:3, 3]
-    return inverse
+def pose_rows(block: object, where: str) -> Float[np.ndarray, "3 4"]:
+    """The rotation and translation of a 3×4 or 4×4 pose; raises UserError for another shape or last row."""
+    given = numbers(block, where)
+    if given.size not in (12, 16):
+        raise UserError(f"{where} holds {given.size} numbers; write 3×4 or 4×4")
+    rows = given.reshape(-1, 4)
+    if not np.allclose(rows[3:], [0, 0, 0, 1]):
+        raise UserError(f"{where} has the last row {rows[3].tolist()}; it must be 0 0 0 1")
+    return rows[:3]
+
+
+def camera_from_world_of_rows(block: object, where: str) -> Pose:
+    """``rigid_camera_from_world`` of a 3×4 or 4×4 pose; raises UserError for another shape or last row too."""
+    rows = pose_rows(block, f"{where}: its pose")
+    return rigid_camera_from_world(rows[:3, :3], rows[:3, 3], where)
+
+
+def camera_from_world_of_pose(world_from_camera: object, where: str) -> Pose:
+    """The same of a 3×4 or 4×4 ``world_from_camera`` whose rotation block may include a scale."""
+    pose, scale = camera_from_world_of_rows(world_from_camera, where)
+    inverse = np.eye(4)
+    inverse[:3, :3] = pose[:3, :3].T
+    inverse[:3, 3] = -pose[:3, :3].T @ pose[:3, 3] * scale
+    return inverse, scale

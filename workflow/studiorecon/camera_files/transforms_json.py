@@ -5,18 +5,15 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path, PurePosixPath
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
-from studiorecon.camera_files.lens_kinds import coefficients, lens_model
-from studiorecon.camera_files.raw_camera import RawCamera, camera_from_world_of_pose, intrinsics_matrix, pose_rows
+from studiorecon.camera_files.lens_kinds import lens_model
+from studiorecon.camera_files.raw_camera import RawCamera, camera_from_world_of_pose, pose_rows, raw_camera
 from studiorecon.errors import UserError
 from studiorecon.scene.files import read_json
 from studiorecon.scene.user_values import numbers, short_text
-
-if TYPE_CHECKING:
-    from jaxtyping import Num
 
 _GENERIC_FOLDERS = {"images", "input", "rgb", "frames", ".", ""}
 _LENS = {"camera_model", "is_fisheye"}
@@ -32,13 +29,11 @@ class Transforms:
 
     Attributes:
         cameras: one per picture, in the file's order, in the world before ``applied_transform``.
-        scales: scale of each picture's pose, which was removed; 1 for a rigid one.
         frames: time that each picture shows, as deliveries of this project's own path files have it, or None.
         notes: sentences: every change and assumption.
     """
 
     cameras: tuple[RawCamera, ...]
-    scales: Num[np.ndarray, " N"]
     frames: tuple[float | None, ...]
     notes: tuple[str, ...]
 
@@ -63,9 +58,9 @@ def read_transforms(path: Path) -> Transforms:
             f"{path.name} has no principal point (cx, cy) for some pictures: the middle of the picture is used"
         )
     source_from_file = np.linalg.inv(applied)
-    made = [_camera(lens, source_from_file, f"picture {index} of {path}") for index, lens in enumerate(lenses)]
+    cameras = [_camera(lens, source_from_file, f"picture {index} of {path}") for index, lens in enumerate(lenses)]
     times = tuple(None if frame.get("frame") is None else float(frame["frame"]) for frame in content["frames"])
-    return Transforms(tuple(camera for camera, _ in made), np.array([scale for _, scale in made]), times, tuple(notes))
+    return Transforms(tuple(cameras), times, tuple(notes))
 
 
 def camera_name(frame: dict[str, Any]) -> str:
@@ -76,18 +71,16 @@ def camera_name(frame: dict[str, Any]) -> str:
     return path.parent.name if path.parent.name not in _GENERIC_FOLDERS else path.stem
 
 
-def _camera(lens: dict[str, Any], source_from_file: np.ndarray, where: str) -> tuple[RawCamera, float]:
+def _camera(lens: dict[str, Any], source_from_file: np.ndarray, where: str) -> RawCamera:
     try:
         width, height = numbers([lens["w"], lens["h"]], f"{where}: its w and h").tolist()
         fx = float(lens["fl_x"]) if "fl_x" in lens else width / 2 / np.tan(float(lens["camera_angle_x"]) / 2)
         if not isinstance(lens.get("file_path", ""), str):
             raise UserError(f"{where}: its file_path is {short_text(lens['file_path'])}; it must name the picture")
-        pose = pose_rows(numbers(lens["transform_matrix"], f"{where}: its transform_matrix", finite=False), where)
+        pose = pose_rows(lens["transform_matrix"], f"{where}: its transform_matrix")
     except KeyError as error:
         missing = str(error.args[0]).replace("camera_angle_x", "fl_x or camera_angle_x")
         raise UserError(f"{where} has no {missing}; write it there") from None
-    if width % 1 or height % 1:
-        raise UserError(f"{where}: its w and h are {width:g} and {height:g}; sizes are whole numbers of pixels")
     across = lens.get("camera_angle_y")
     fy = float(lens.get("fl_y", height / 2 / np.tan(float(across) / 2) if across else fx))
     cx, cy = float(lens.get("cx", width / 2)), float(lens.get("cy", height / 2))
@@ -101,14 +94,15 @@ def _camera(lens: dict[str, Any], source_from_file: np.ndarray, where: str) -> t
         raise UserError(
             f"{where}: {left[0]} is {short_text(term[left[0]])}, which the lens model {model} does not have"
         )
-    world_from_camera = source_from_file @ np.vstack([pose[:3], [0, 0, 0, 1]]) @ _OPENCV_FROM_OPENGL
-    camera = RawCamera(
-        name=camera_name(lens),
-        wh=(round(width), round(height)),
-        # The numbers come from COLMAP, which has its pixel centres at +0.5 already.
-        intrinsics=intrinsics_matrix(fx, fy, cx, cy, integer_centres=False),
-        model=model,
-        distortion=coefficients(model, [term[key] for key in _TERMS[model]], where),
-        camera_from_world=camera_from_world_of_pose(world_from_camera, where),
+    world_from_camera = source_from_file @ np.vstack([pose, [0, 0, 0, 1]]) @ _OPENCV_FROM_OPENGL
+    # The numbers come from COLMAP, which has its pixel centres at +0.5 already.
+    return raw_camera(
+        camera_name(lens),
+        where,
+        (width, height),
+        (fx, fy, cx, cy),
+        camera_from_world_of_pose(world_from_camera, where),
+        [term[key] for key in _TERMS[model]],
+        model,
+        integer_centres=False,
     )
-    return camera, float(np.cbrt(np.linalg.det(world_from_camera[:3, :3])))

@@ -39,7 +39,7 @@ MAX_PEOPLE_PER_PICTURE = 500
 """Association compares everybody in a picture with everybody."""
 MAX_KEYPOINTS = 1000
 # Files of other programs that are not read → a remedy.
-_REFUSED = {
+REFUSED = {
     ".h5": "is DeepLabCut's or SLEAP's HDF5, which is not read: write DeepLabCut's table as CSV (save_as_csv=True, or "
     "deeplabcut.analyze_videos_converth5_to_csv), SLEAP's tracks as an .npz",
     ".slp": "is SLEAP's project, which is not read: write its tracks as an array keypoints (frames, "
@@ -69,8 +69,8 @@ def read_keypoints(path: Path, picture_wh: tuple[int, int] = (0, 0)) -> Recorded
         found = read_results(path, picture_wh)
     elif path.suffix.lower() == ".csv":
         found = Pictures("DeepLabCut", read_deeplabcut(path))
-    elif path.suffix.lower() in _REFUSED:
-        raise UserError(f"{path} {_REFUSED[path.suffix.lower()]}")
+    elif path.suffix.lower() in REFUSED:
+        raise UserError(f"{path} {REFUSED[path.suffix.lower()]}")
     else:
         raise UserError(
             f"{path} is no keypoint file; bring a folder of OpenPose JSON files, an AlphaPose, MMPose or "

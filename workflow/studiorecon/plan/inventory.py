@@ -138,6 +138,8 @@ def _reason_of_name(path: Path, dataset: Dataset) -> str:
             if entry.parent == path.parent and fold_name(camera_stem(entry)) == fold_name(camera_stem(path)):
                 return f"camera {camera} has {noun} in {entry.name} already"
         if any(entry.parent == path.parent for entry in entries.values()):
+            if fold_name(camera_stem(path)) in map(fold_name, dataset.footage):
+                return f"{noun} are not read from such a file"
             return f"{_NO_NAME}; cameras are {', '.join(dataset.footage)}"
     return ""
 

@@ -8,13 +8,14 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from studiorecon.errors import UserError
+from studiorecon.keypoints.readers import REFUSED
 from studiorecon.plan.inventory import LIKE_KEYPOINTS
 from studiorecon.plan.pairing import files_by_camera
 from studiorecon.scene.dataset import Dataset
 from studiorecon.scene.names import fold_name
 
 # A folder ("") or a file with such a suffix, likelier ones first.
-_KEYPOINTS = ("", ".json", ".csv", ".npz", ".h5")
+_KEYPOINTS = ("", ".json", ".csv", ".npz", *REFUSED)
 # Folders of 2D keypoints, in order of precedence; a folder of another name counts if it is the only one.
 _KEYPOINT_FOLDERS = ("keypoints", "pose", "openpose", "annots")
 _NOT_LIKE_KEYPOINTS = re.compile(r"3d|calib")

@@ -70,11 +70,11 @@ def _of_colmap(file: Path) -> tuple[list[Camera], None, bool]:
 
 def _of_transforms(file: Path) -> tuple[list[Camera], np.ndarray | None, bool]:
     found = read_transforms(file)
-    scaled = np.flatnonzero(np.abs(found.scales - 1) > _SCALE_TOLERANCE)
+    scales = np.array([camera.scale for camera in found.cameras])
+    scaled = np.flatnonzero(np.abs(scales - 1) > _SCALE_TOLERANCE)
     if len(scaled):
         raise UserError(
-            f"transform_matrix of picture {scaled[0]} is no rigid pose; remove its "
-            f"scale of {found.scales[scaled[0]]:.4g}"
+            f"transform_matrix of picture {scaled[0]} is no rigid pose; remove its scale of {scales[scaled[0]]:.4g}"
         )
     times = None if any(time is None for time in found.frames) else np.array(found.frames, np.float64)
     return _pinholes(found.cameras), times, any(camera.distortion.any() for camera in found.cameras)

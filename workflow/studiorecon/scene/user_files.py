@@ -150,9 +150,9 @@ def read_yaml(path: Path, loader: type = PlainYaml, *, comments: str = "") -> An
     if comments:
         text = "\n".join("" if line.startswith(comments) else line for line in text.split("\n"))
     try:
-        node = yaml.compose(text, Loader=loader)
-        _check_unique_keys(node)
-        return yaml.load(text, Loader=loader)
+        reader = loader(text)
+        _check_unique_keys(node := reader.get_single_node())
+        return None if node is None else reader.construct_document(node)
     except yaml.MarkedYAMLError as error:
         mark = error.problem_mark or error.context_mark
         where = f"line {mark.line + 1}: " if mark else ""

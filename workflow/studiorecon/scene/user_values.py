@@ -8,6 +8,7 @@ and raises UserError with it.
 from __future__ import annotations
 
 import math
+import reprlib
 from collections.abc import Mapping
 from typing import TYPE_CHECKING, Any
 
@@ -21,15 +22,17 @@ if TYPE_CHECKING:
 MAX_SHOWN = 60
 """Number of characters shown of a refused value."""
 _LONGEST_NAME = 255
+_SHORT = reprlib.Repr()
+_SHORT.maxstring = _SHORT.maxother = _SHORT.maxlong = 2 * MAX_SHOWN
+_SHORT.fillvalue = "…"
 
 
 def short_text(value: Any) -> str:
     """A value for a sentence: on one line, and not too long."""
     try:
-        text = repr(value) if not isinstance(value, (dict, list, tuple)) or len(value) < 20 else type(value).__name__
-    except (RecursionError, ValueError):
+        text = " ".join(_SHORT.repr(value).split())
+    except ValueError:  # of an endless number
         text = type(value).__name__
-    text = " ".join(text.split())
     return text if len(text) <= MAX_SHOWN else text[: MAX_SHOWN - 1] + "…"
 
 

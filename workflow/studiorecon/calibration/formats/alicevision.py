@@ -14,8 +14,7 @@ from typing import Any
 import numpy as np
 
 from studiorecon.calibration.formats.reading import CalibrationFormat, Reading, merged_static, one_file
-from studiorecon.camera_files.lens_kinds import coefficients
-from studiorecon.camera_files.raw_camera import RawCamera, intrinsics_matrix, rigid_camera_from_world
+from studiorecon.camera_files.raw_camera import RawCamera, raw_camera, rigid_camera_from_world
 from studiorecon.errors import UserError
 from studiorecon.scene.user_files import read_json
 
@@ -65,35 +64,26 @@ def read(files: list[Path]) -> Reading:
 
 
 def _camera(name: str, pose: dict[str, Any], lens: dict[str, Any], version: tuple[int, ...], where: str) -> RawCamera:
-    width, height = int(lens["width"]), int(lens["height"])
-    centre = np.array(lens["principalPoint"], dtype=np.float64)
-    if version >= (1, 2, 1):
-        centre += np.array([width, height]) / 2
-    fx, fy = _focal_px(lens, width, version)
+    wh = np.array([lens["width"], lens["height"]], dtype=np.float64)
+    centre = np.array(lens["principalPoint"], dtype=np.float64) + (wh / 2 if version >= (1, 2, 1) else 0)
+    focal_px = _focal_px(lens, wh[0], version)
     kind = str(lens.get("type", "pinhole")).lower()
     if kind == "pinhole" and str(lens.get("distortionType", "none")).lower() != "none":
         kind = str(lens["distortionType"]).lower()
     numbers = np.array(lens.get("distortionParams") or [], dtype=np.float64)
     if kind in _FISHEYES:
-        model, distortion = "fisheye", coefficients("fisheye", numbers, where)
+        model, terms = "fisheye", numbers.tolist()
     elif kind in _AS_OPENCV:
-        model = "opencv"
-        places = _AS_OPENCV[kind]
-        distortion = coefficients(
-            "opencv", [numbers[i] if i is not None and len(numbers) else 0.0 for i in places], where
-        )
+        model, terms = "opencv", [numbers[i] if i is not None and len(numbers) else 0.0 for i in _AS_OPENCV[kind]]
     else:
         raise UserError(f"{where} has the lens {kind}; reconstruct with pinhole, radialk1, radialk3, brown or fisheye4")
     # Eigen writes matrices column by column.
     rotation = np.array(pose["rotation"], dtype=np.float64).reshape(3, 3).T
-    camera_from_world, _ = rigid_camera_from_world(
-        rotation, -rotation @ np.array(pose["center"], dtype=np.float64), where
-    )
-    intrinsics = intrinsics_matrix(fx, fy, centre[0], centre[1], integer_centres=True)
-    return RawCamera(name, (width, height), intrinsics, model, distortion, camera_from_world)
+    placed = rigid_camera_from_world(rotation, -rotation @ np.array(pose["center"], dtype=np.float64), where)
+    return raw_camera(name, where, wh, [*focal_px, *centre], placed, terms, model)
 
 
-def _focal_px(lens: dict[str, Any], width: int, version: tuple[int, ...]) -> tuple[float, float]:
+def _focal_px(lens: dict[str, Any], width: float, version: tuple[int, ...]) -> tuple[float, float]:
     """Focal lengths along x and y; ``pixelRatio`` is fx / fy until version 1.2.5, a pixel's height over width since."""
     if version < (1, 2, 2):
         both = np.broadcast_to(np.array(lens["pxFocalLength"], dtype=np.float64), 2)

@@ -9,11 +9,8 @@ from __future__ import annotations
 
 from pathlib import Path
 
-import numpy as np
-
 from studiorecon.calibration.formats.reading import CalibrationFormat, Reading
-from studiorecon.camera_files.lens_kinds import coefficients
-from studiorecon.camera_files.raw_camera import RawCamera, pose_rows, rigid_camera_from_world, unadjusted_intrinsics
+from studiorecon.camera_files.raw_camera import RawCamera, camera_from_world_of_rows, raw_camera
 from studiorecon.errors import UserError
 from studiorecon.footage.kinds import film_suffixes
 from studiorecon.scene.user_files import read_text
@@ -52,10 +49,8 @@ def _camera(path: Path) -> RawCamera:
             "of K, "
             "the rows of a 4×4 pose and one of distortion"
         )
-    pose = pose_rows(np.array(rows[5:-1]), where)
-    wh, intrinsics = (round(rows[0][0]), round(rows[1][0])), unadjusted_intrinsics(rows[2:5], where)
-    camera_from_world, _ = rigid_camera_from_world(pose[:, :3], pose[:, 3], where)
-    return RawCamera(name, wh, intrinsics, "opencv", coefficients("opencv", rows[-1], where), camera_from_world)
+    pose = camera_from_world_of_rows(rows[5:-1], where)
+    return raw_camera(name, where, rows[0] + rows[1], rows[2:5], pose, rows[-1])
 
 
 FORMAT = CalibrationFormat(

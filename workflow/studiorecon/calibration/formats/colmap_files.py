@@ -12,8 +12,8 @@ from studiorecon.camera_files.colmap_models import posed_pictures
 def recognises(files: list[Path]) -> bool:
     return (
         len(files) >= 2
-        and {f.stem for f in files} >= {"cameras", "images"}
-        and {f.suffix for f in files} <= {".txt", ".bin"}
+        and {f.stem.lower() for f in files} >= {"cameras", "images"}
+        and {f.suffix.lower() for f in files} <= {".txt", ".bin"}
     )
 
 

@@ -7,22 +7,13 @@ OpenCV YAML, often with CRLF; ``K_<c>``, ``dist_<c>`` or ``D_<c>``, ``R_<c>`` (a
 
 from __future__ import annotations
 
-import re
-from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 
-from studiorecon.calibration.formats.opencv_storage import load_storage
+from studiorecon.calibration.formats.opencv_storage import load_storage, plain_numbers
 from studiorecon.calibration.formats.reading import CalibrationFormat, Reading
-from studiorecon.camera_files.lens_kinds import coefficients
-from studiorecon.camera_files.raw_camera import (
-    RawCamera,
-    finite_vector,
-    rigid_camera_from_world,
-    rotation_from_file,
-    unadjusted_intrinsics,
-)
+from studiorecon.camera_files.raw_camera import Pose, RawCamera, raw_camera, rigid_camera_from_world
 from studiorecon.errors import UserError
 from studiorecon.scene.user_files import MAX_TEXT_BYTES, read_bytes
 from studiorecon.scene.user_values import as_list, short_text
@@ -34,7 +25,7 @@ _ENTRIES = [
 
 
 def recognises(files: list[Path]) -> bool:
-    return len(files) == 2 and all(f.suffix in (".yml", ".yaml") for f in files)
+    return len(files) == 2 and all(f.suffix.lower() in (".yml", ".yaml") for f in files)
 
 
 def read(files: list[Path]) -> Reading:
@@ -62,35 +53,25 @@ def read(files: list[Path]) -> Reading:
     cameras = []
     for name, key in key_of.items():
         where = f"camera {name} in {extri_path}"
-        matrix, axis = _read_matrix(extri, where, f"Rot_{key}"), _read_matrix(extri, where, f"R_{key}")
-        given = _required(extri, f"R_{key}", where) if matrix is None else matrix
-        rotation = rotation_from_file(given, f"{where}: its rotation")
-        if matrix is not None and axis is not None and np.abs(rotation_from_file(axis, where) - rotation).max() > 1e-3:
+        rotations = [extri[entry] for entry in (f"Rot_{key}", f"R_{key}") if entry in extri]
+        rotations, translation = rotations or [_required(extri, f"R_{key}", where)], _required(extri, f"T_{key}", where)
+        pose, *again = [rigid_camera_from_world(rotation, translation, where) for rotation in rotations]
+        if again and np.abs(again[0][0][:3, :3] - pose[0][:3, :3]).max() > 1e-3:
             raise UserError(
                 f"{where}: R_{key} and Rot_{key} are different rotations; the file was edited by hand, write it again"
             )
-        pose, scale = rigid_camera_from_world(
-            rotation, finite_vector(_required(extri, f"T_{key}", where), f"{where}: T_{key}"), where
-        )
-        if abs(scale - 1) > 1e-3:
-            notes.append(f"camera {name}: a scale of {scale:.4g} was removed from its rotation")
-        lens, described = _lens(intri, name, key, f"camera {name} in {intri_path}")
-        notes += described
-        cameras.append(replace(lens, camera_from_world=pose))
+        if f"rdist_{key}" in intri and (plain := {f"dist_{key}", f"D_{key}"} & intri.keys()):
+            used = f"rdist_{key} (fisheye) was used, {min(plain)} was not"
+            notes.append(f"camera {name} in {intri_path} has the lens twice: {used}")
+        cameras.append(_camera(intri, name, key, f"camera {name} in {intri_path}", pose))
     return Reading("EasyMocap/EasyVolcap intri + extri", tuple(cameras), "unknown", tuple(notes))
 
 
-def _lens(intri: dict, name: str, key: str, where: str) -> tuple[RawCamera, list[str]]:
-    """The camera at the identity, and messages about unused entries."""
-    fisheye, plain = _read_matrix(intri, where, f"rdist_{key}"), _read_matrix(intri, where, f"dist_{key}", f"D_{key}")
-    notes = []
-    if fisheye is not None and plain is not None:
-        notes.append(f"{where} has the lens twice: rdist_{key} (fisheye) was used, dist_{key} was not")
-    model = "opencv" if fisheye is None else "fisheye"
-    wh = _size(intri, f"W_{key}", where), _size(intri, f"H_{key}", where)
-    intrinsics = unadjusted_intrinsics(_required(intri, f"K_{key}", where), where)
-    distortion = coefficients(model, plain if fisheye is None else fisheye, where)
-    return RawCamera(name, wh, intrinsics, model, distortion, np.eye(4)), notes
+def _camera(intri: dict, name: str, key: str, where: str, pose: Pose) -> RawCamera:
+    terms = next((intri[f"{entry}_{key}"] for entry in ("rdist", "dist", "D") if f"{entry}_{key}" in intri), None)
+    model = "fisheye" if f"rdist_{key}" in intri else "opencv"
+    wh = plain_numbers([intri.get(f"{side}_{key}", 0) for side in "WH"])
+    return raw_camera(name, where, wh, _required(intri, f"K_{key}", where), pose, terms, model)
 
 
 def is_intri(path: Path) -> bool:
@@ -103,27 +84,14 @@ def is_intri(path: Path) -> bool:
 def lenses_in(path: Path) -> list[RawCamera]:
     """The lenses of an intrinsic file without poses."""
     intri = load_storage(path)
-    return [_lens(intri, k[2:], k[2:], f"camera {k[2:]} in {path}")[0] for k in intri if k.startswith("K_")]
+    keys, nowhere = [k[2:] for k in intri if k.startswith("K_")], (np.eye(4), 1.0)
+    return [_camera(intri, key, key, f"camera {key} in {path}", nowhere) for key in keys]
 
 
-def _read_matrix(table: dict, where: str, *keys: str) -> np.ndarray | None:
-    """The first of ``keys`` that the table has; raises UserError where it is no matrix."""
-    found = next((key for key in keys if key in table), None)
-    if found is not None and not isinstance(table[found], np.ndarray):
-        raise UserError(f"{where}: {found} is {short_text(table[found])}; it must be a matrix (!!opencv-matrix)")
-    return None if found is None else table[found]
-
-
-def _required(table: dict, key: str, where: str) -> np.ndarray:
-    if (found := _read_matrix(table, where, key)) is None:
+def _required(table: dict, key: str, where: str) -> object:
+    if key not in table:
         raise UserError(f"{where}: {key} is missing")
-    return found
-
-
-def _size(table: dict, key: str, where: str) -> int:
-    if not re.fullmatch(r"\d+(\.0*)?", value := str(table.get(key, 0))):
-        raise UserError(f"{where}: {key} is {short_text(value)}; it must be a number of pixels")
-    return int(float(value))
+    return table[key]
 
 
 FORMAT = CalibrationFormat(

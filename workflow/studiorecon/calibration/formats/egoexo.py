@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 
 from studiorecon.calibration.formats.reading import CalibrationFormat, Reading, one_file
-from studiorecon.camera_files.raw_camera import RawCamera, camera_from_world_of_pose, intrinsics_matrix
+from studiorecon.camera_files.raw_camera import RawCamera, camera_from_world_of_pose, raw_camera
 from studiorecon.errors import UserError
 from studiorecon.geometry.rotations import from_quaternion
 from studiorecon.scene.user_files import read_rows
@@ -34,21 +34,17 @@ def _camera(row: dict[str, str], path: Path) -> RawCamera:
     name = row.get("cam_uid", "?")
     where = f"camera {name} in {path}"
     try:
-        translation = np.array([float(row[f"t{a}_world_cam"]) for a in "xyz"])
+        centre = np.array([float(row[f"t{a}_world_cam"]) for a in "xyz"])
         quaternion = np.array([float(row[f"q{a}_world_cam"]) for a in "wxyz"])
-        fx, fy, cx, cy = (float(row[f"intrinsics_{i}"]) for i in range(4))
-        wh = (int(float(row["image_width"])), int(float(row["image_height"])))
+        intrinsics = [float(row[f"intrinsics_{i}"]) for i in range(4)]
+        wh = [float(row[f"image_{side}"]) for side in ("width", "height")]
         terms = [float(row[f"intrinsics_{i}"]) for i in range(4, 8) if row.get(f"intrinsics_{i}")]
     except (KeyError, ValueError) as error:
         raise UserError(f"{where}: {error} is missing or not a number; it is not a gopro_calibs.csv") from None
     if np.linalg.norm(quaternion) < 1e-12:
         raise UserError(f"{where}: the rotation is a quaternion of length 0; calibrate this camera again")
-    world_from_camera = np.eye(4)
-    world_from_camera[:3, :3], world_from_camera[:3, 3] = from_quaternion(quaternion), translation
-    intrinsics = intrinsics_matrix(fx, fy, cx, cy, integer_centres=True)
-    distortion = np.pad(np.array(terms), (0, 4 - len(terms))) if terms else np.zeros(8)
-    pose = camera_from_world_of_pose(world_from_camera, where)
-    return RawCamera(name, wh, intrinsics, "fisheye" if terms else "opencv", distortion, pose)
+    pose = camera_from_world_of_pose(np.column_stack([from_quaternion(quaternion), centre]), where)
+    return raw_camera(name, where, wh, intrinsics, pose, terms, "fisheye" if terms else "opencv")
 
 
 FORMAT = CalibrationFormat(

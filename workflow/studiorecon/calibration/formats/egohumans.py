@@ -16,7 +16,7 @@ from studiorecon.calibration.formats import colmap_files
 from studiorecon.calibration.formats.pickles import read_pickle
 from studiorecon.calibration.formats.reading import CalibrationFormat, Reading, merged_static
 from studiorecon.camera_files.colmap_models import posed_pictures
-from studiorecon.camera_files.raw_camera import RawCamera, rigid_camera_from_world
+from studiorecon.camera_files.raw_camera import RawCamera, camera_from_world_of_rows
 from studiorecon.errors import UserError
 from studiorecon.scene.user_files import read_npy
 
@@ -71,7 +71,7 @@ def _similarity(path: Path) -> np.ndarray:
 
 def _metric(camera: RawCamera, colmap_from_metric: np.ndarray, where: str) -> RawCamera:
     pose = camera.camera_from_world @ colmap_from_metric
-    return replace(camera, camera_from_world=rigid_camera_from_world(pose[:3, :3], pose[:3, 3], where)[0])
+    return replace(camera, camera_from_world=camera_from_world_of_rows(pose, where)[0])
 
 
 FORMAT = CalibrationFormat(

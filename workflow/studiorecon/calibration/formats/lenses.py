@@ -33,7 +33,7 @@ def read_lenses(files: Sequence[Path]) -> list[RawCamera]:
     for path in files:
         if path.suffix == ".toml":
             found += [
-                pose2sim.camera_of_table(str(table.get("name", key)), {**_NO_POSE, **table}, path, [])
+                pose2sim.camera_of_table(str(table.get("name", key)), {**_NO_POSE, **table}, path)
                 for key, table in pose2sim.camera_tables(path).items()
             ]
         elif opencv_storage.file_kind(path) == "lenses":

@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 
 from studiorecon.calibration.formats.reading import CalibrationFormat, Reading, one_file
-from studiorecon.camera_files.raw_camera import RawCamera, camera_from_world_of_pose, intrinsics_matrix
+from studiorecon.camera_files.raw_camera import camera_from_world_of_pose, raw_camera
 from studiorecon.errors import UserError
 from studiorecon.scene.user_files import read_npy
 from studiorecon.scene.user_values import numbers
@@ -25,15 +25,10 @@ def read(files: list[Path]) -> Reading:
     for index, row in enumerate(table):
         block = row[:15].reshape(3, 5)
         height, width, focal = block[:, 4]
-        if height % 1 or width % 1:
-            raise UserError(f"{path}: camera {index} has {width:g}×{height:g} pixels; sizes are whole numbers")
-        down, right, back = block[:, 0], block[:, 1], block[:, 2]
-        world_from_camera = np.eye(4)
-        world_from_camera[:3] = np.stack([right, down, -back, block[:, 3]], axis=1)
-        intrinsics = intrinsics_matrix(focal, focal, width / 2, height / 2, integer_centres=False)
-        pose = camera_from_world_of_pose(world_from_camera, f"camera {index} in {path}")
-        wh = round(width), round(height)
-        cameras.append(RawCamera(str(index), wh, intrinsics, "opencv", np.zeros(8), pose))
+        down, right, back, centre = block[:, :4].T
+        where, lens = f"camera {index} in {path}", [focal, focal, width / 2, height / 2]
+        pose = camera_from_world_of_pose(np.stack([right, down, -back, centre], axis=1), where)
+        cameras.append(raw_camera(str(index), where, [width, height], lens, pose, integer_centres=False))
     return Reading("LLFF poses_bounds.npy", tuple(cameras), "unknown", (), named=False)
 
 

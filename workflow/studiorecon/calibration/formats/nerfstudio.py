@@ -5,14 +5,17 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from studiorecon.calibration.formats.reading import CalibrationFormat, Reading, merged_static
+from studiorecon.calibration.formats.reading import CalibrationFormat, Reading, merged_static, one_file
 from studiorecon.camera_files.transforms_json import read_transforms
 from studiorecon.errors import UserError
+from studiorecon.scene.user_files import MAX_TEXT_BYTES, read_bytes
 
 
 def recognises(files: list[Path]) -> bool:
-    # Any name may hold transforms, except that of Dynamic 3D Gaussians' lists.
-    return len(files) == 1 and files[0].suffix == ".json" and not files[0].stem.endswith("train_meta")
+    """Whether a JSON has pictures, under any name; one called ``transforms.json`` is meant to."""
+    return one_file("*.json")(files) and (
+        files[0].name.lower() == "transforms.json" or b'"frames"' in read_bytes(files[0], MAX_TEXT_BYTES)
+    )
 
 
 def read(files: list[Path]) -> Reading:

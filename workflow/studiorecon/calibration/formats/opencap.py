@@ -12,13 +12,11 @@ from pathlib import Path
 
 from studiorecon.calibration.formats.pickles import read_pickle
 from studiorecon.calibration.formats.reading import CalibrationFormat, Reading
-from studiorecon.camera_files.lens_kinds import coefficients
-from studiorecon.camera_files.raw_camera import RawCamera, rigid_camera_from_world, unadjusted_intrinsics
+from studiorecon.camera_files.raw_camera import RawCamera, raw_camera, rigid_camera_from_world
 from studiorecon.errors import UserError
-from studiorecon.scene.user_values import numbers
 
 _NAME = "cameraIntrinsicsExtrinsics.pickle"
-_SIZES = {"intrinsicMat": 9, "distortion": 5, "imageSize": 2, "rotation": 9, "translation": 3}
+_ENTRIES = ("intrinsicMat", "distortion", "imageSize", "rotation", "translation")
 
 
 def recognises(files: list[Path]) -> bool:
@@ -36,18 +34,11 @@ def _camera(path: Path) -> RawCamera:
     table = read_pickle(path)
     if not isinstance(table, dict):
         raise UserError(f"{path} holds no table of camera parameters; it is not OpenCap's {_NAME}")
-    values = {}
-    for key, size in _SIZES.items():
-        if key not in table:
-            raise UserError(f"{where}: {key} is missing; a file with intrinsics only needs OpenCap's extrinsics too")
-        values[key] = numbers(table[key], f"{where}: {key}").reshape(-1)
-        if len(values[key]) != size:
-            raise UserError(f"{where}: {key} holds {len(values[key])} numbers; OpenCap writes {size}")
-    height, width = values["imageSize"]
-    intrinsics = unadjusted_intrinsics(values["intrinsicMat"], where)
-    pose, _ = rigid_camera_from_world(values["rotation"], values["translation"], where)
-    distortion = coefficients("opencv", values["distortion"], where)
-    return RawCamera(name, (round(width), round(height)), intrinsics, "opencv", distortion, pose)
+    if missing := [key for key in _ENTRIES if key not in table]:
+        raise UserError(f"{where}: {missing[0]} is missing; a file with intrinsics only needs OpenCap's extrinsics too")
+    matrix, distortion, size, rotation, translation = (table[key] for key in _ENTRIES)
+    pose = rigid_camera_from_world(rotation, translation, where)
+    return raw_camera(name, where, size[::-1], matrix, pose, distortion)
 
 
 FORMAT = CalibrationFormat(

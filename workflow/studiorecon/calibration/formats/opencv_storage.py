@@ -17,19 +17,18 @@ import numpy as np
 import yaml
 
 from studiorecon.calibration.formats.reading import CalibrationFormat, Reading
-from studiorecon.camera_files.lens_kinds import coefficients, lens_model
+from studiorecon.camera_files.lens_kinds import lens_model
 from studiorecon.camera_files.raw_camera import (
+    Pose,
     RawCamera,
     camera_from_world_of_pose,
-    finite_vector,
-    pose_rows,
+    camera_from_world_of_rows,
+    raw_camera,
     rigid_camera_from_world,
-    rotation_from_file,
-    unadjusted_intrinsics,
 )
 from studiorecon.errors import UserError
 from studiorecon.scene.user_files import file_size, read_bytes, read_xml, read_yaml
-from studiorecon.scene.user_values import numbers, short_text
+from studiorecon.scene.user_values import short_text
 
 _SUFFIXES = (".xml", ".yml", ".yaml", ".json")
 # Spellings without case and separators, by their meaning.
@@ -56,6 +55,7 @@ _KIND = {spelling: kind for kind, spellings in _SPELLINGS.items() for spelling i
 # A camera has a few hundred bytes; JSON files of keypoints have many more.
 _MAX_BYTES = 2**20
 _WORD = re.compile(r"[^a-z0-9]")
+_NUMBER = re.compile(r"[-+]?(\d+\.?\d*|\.\d+)(e[-+]?\d+)?|[-+]?\.?(inf|nan)", re.ASCII | re.IGNORECASE)
 
 
 class _Loader(yaml.BaseLoader):
@@ -118,17 +118,18 @@ def _sorted(table: Mapping[str, Any], where: str) -> dict[str, Any]:
 
 def _same(one: Any, two: Any) -> bool:
     if isinstance(one, np.ndarray) and isinstance(two, np.ndarray) and {one.size, two.size} == {3, 9}:
-        return bool(np.abs(rotation_from_file(one, "") - rotation_from_file(two, "")).max() < 1e-3)
+        first, second = (rigid_camera_from_world(rotation, [0, 0, 0], "")[0] for rotation in (one, two))
+        return bool(np.abs(first - second).max() < 1e-3)
     return str(one) == str(two)
 
 
-def _plain(value: Any) -> Any:
-    """Lists of text as numbers, and a table of rows, cols and data (ROS's matrices) as an array."""
+def plain_numbers(value: Any) -> Any:
+    """Lists of text as numbers where they are, and a table of rows, cols and data (ROS's matrices) as an array."""
     if isinstance(value, Mapping) and {"rows", "cols", "data"} <= value.keys():
         return _array(value)
     if isinstance(value, (list, tuple)):
-        return [_plain(v) for v in value]
-    return float(value) if isinstance(value, str) else value
+        return [plain_numbers(v) for v in value]
+    return float(value) if isinstance(value, str) and _NUMBER.fullmatch(value.strip()) else value
 
 
 def camera_tables(path: Path) -> dict[str, Mapping[str, Any]]:
@@ -146,35 +147,24 @@ def _kinds(table: Mapping[str, Any]) -> set[str]:
 
 def read_camera(name: str, table: Mapping[str, Any], where: str) -> RawCamera:
     """One camera; its pose is the identity where the table has none. Raises UserError for a table that is no camera."""
-    held = {kind: _plain(value) for kind, value in _sorted(table, where).items()}
+    held = {kind: plain_numbers(value) for kind, value in _sorted(table, where).items()}
     if "matrix" not in held:
         raise UserError(f"{where} has no camera matrix; it has {short_text(', '.join(map(str, table)))}")
-    if "size" in held:
-        width, height = numbers(held["size"], f"{where}: its size").reshape(-1)
-    else:
-        width, height = (float(held.get(side, 0)) for side in ("width", "height"))
-    model = lens_model(table, where)
-    distortion = coefficients(model, held.get("distortion"), where)
-    pose = _pose(held, where) if _posed(set(held)) else np.eye(4)
-    intrinsics = unadjusted_intrinsics(held["matrix"], where)
-    return RawCamera(name, (round(width), round(height)), intrinsics, model, distortion, pose)
+    wh = held.get("size", [held.get("width", 0), held.get("height", 0)])
+    pose = _pose(held, where) if _posed(set(held)) else (np.eye(4), 1.0)
+    return raw_camera(name, where, wh, held["matrix"], pose, held.get("distortion"), lens_model(table, where))
 
 
 def _posed(kinds: set[str]) -> bool:
     return {"rotation", "translation"} <= kinds or bool({"camera_from_world", "world_from_camera"} & kinds)
 
 
-def _pose(held: Mapping[str, Any], where: str) -> np.ndarray:
+def _pose(held: Mapping[str, Any], where: str) -> Pose:
     if "rotation" in held and "translation" in held:
-        rotation = rotation_from_file(held["rotation"], f"{where}: its rotation")
-        return rigid_camera_from_world(
-            rotation, finite_vector(held["translation"], f"{where}: its translation"), where
-        )[0]
-    kind = "camera_from_world" if "camera_from_world" in held else "world_from_camera"
-    block = pose_rows(numbers(held[kind], f"{where}: its pose"), where)
-    if kind == "world_from_camera":
-        return camera_from_world_of_pose(block, where)
-    return rigid_camera_from_world(block[:, :3], block[:, 3], where)[0]
+        return rigid_camera_from_world(held["rotation"], held["translation"], where)
+    if "camera_from_world" in held:
+        return camera_from_world_of_rows(held["camera_from_world"], where)
+    return camera_from_world_of_pose(held["world_from_camera"], where)
 
 
 def file_kind(path: Path) -> str:

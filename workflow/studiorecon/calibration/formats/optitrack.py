@@ -15,7 +15,7 @@ from xml.etree.ElementTree import Element
 import numpy as np
 
 from studiorecon.calibration.formats.reading import CalibrationFormat, Reading, attribute, number_attributes, one_file
-from studiorecon.camera_files.raw_camera import RawCamera, camera_from_world_of_pose, intrinsics_matrix
+from studiorecon.camera_files.raw_camera import RawCamera, camera_from_world_of_pose, raw_camera
 from studiorecon.errors import UserError
 from studiorecon.scene.user_files import read_xml
 
@@ -45,20 +45,17 @@ def read(files: list[Path]) -> Reading:
 
 
 def _camera(name: str, element: Element, extrinsic: Element, lens: Element, where: str) -> RawCamera:
-    world_from_camera = np.eye(4)
-    axes = number_attributes(extrinsic, [f"OrientMatrix{i}" for i in range(9)], where)
-    world_from_camera[:3, :3] = axes.reshape(3, 3) @ _FLIP
-    world_from_camera[:3, 3] = number_attributes(extrinsic, "XYZ", where)
+    axes = number_attributes(extrinsic, [f"OrientMatrix{i}" for i in range(9)], where).reshape(3, 3) @ _FLIP
+    centre = number_attributes(extrinsic, "XYZ", where)
     lengths = ("HorizontalFocalLength", "VerticalFocalLength", "LensCenterX", "LensCenterY")
-    fx, fy, cx, cy = number_attributes(lens, lengths, where)
-    k1, k2, k3, p1, p2 = number_attributes(lens, ("k1", "k2", "k3", "TangentialX", "TangentialY"), where)
+    intrinsics = number_attributes(lens, lengths, where)
+    terms = number_attributes(lens, ("k1", "k2", "TangentialX", "TangentialY", "k3"), where)
     size = element.find("Attributes")
     if size is None:
         raise UserError(f"{where}: Attributes, which hold the size of its pictures, are missing; save it again")
-    width, height = map(round, number_attributes(size, ("ImagerPixelWidth", "ImagerPixelHeight"), where))
-    intrinsics, distortion = intrinsics_matrix(fx, fy, cx, cy, True), np.array([k1, k2, p1, p2, k3, 0, 0, 0])
-    pose = camera_from_world_of_pose(world_from_camera, where)
-    return RawCamera(name, (width, height), intrinsics, "opencv", distortion, pose)
+    wh = number_attributes(size, ("ImagerPixelWidth", "ImagerPixelHeight"), where)
+    pose = camera_from_world_of_pose(np.column_stack([axes, centre]), where)
+    return raw_camera(name, where, wh, intrinsics, pose, terms)
 
 
 FORMAT = CalibrationFormat(

@@ -7,17 +7,11 @@ from __future__ import annotations
 from pathlib import Path
 
 from studiorecon.calibration.formats.reading import CalibrationFormat, Reading, one_file
-from studiorecon.camera_files.lens_kinds import coefficients, lens_model
-from studiorecon.camera_files.raw_camera import (
-    RawCamera,
-    finite_vector,
-    rigid_camera_from_world,
-    rotation_from_file,
-    unadjusted_intrinsics,
-)
+from studiorecon.camera_files.lens_kinds import lens_model
+from studiorecon.camera_files.raw_camera import RawCamera, raw_camera, rigid_camera_from_world
 from studiorecon.errors import UserError
 from studiorecon.scene.user_files import MAX_TEXT_BYTES, read_bytes, read_toml
-from studiorecon.scene.user_values import name, numbers
+from studiorecon.scene.user_values import name
 
 # Of Caliscope's cards and volumes, and Pose2Sim's Config.toml.
 _OTHER_TABLES = {"metadata", "capture_volume", "charuco", "checkerboard"}
@@ -42,12 +36,11 @@ def _is_caliscope(files: list[Path]) -> bool:
 
 def read(files: list[Path]) -> Reading:
     """The cameras of the file; the unit is metres for Pose2Sim, and guessed later for the rest of the family."""
-    notes: list[str] = []
     cameras = [
-        camera_of_table(name(table.get("name", key), f"the name of table {key} in {files[0]}"), table, files[0], notes)
+        camera_of_table(name(table.get("name", key), f"the name of table {key} in {files[0]}"), table, files[0])
         for key, table in camera_tables(files[0]).items()
     ]
-    return Reading("Pose2Sim/aniposelib TOML", tuple(cameras), "unknown", tuple(notes))
+    return Reading("Pose2Sim/aniposelib TOML", tuple(cameras), "unknown", ())
 
 
 def read_caliscope(files: list[Path]) -> Reading:
@@ -56,34 +49,21 @@ def read_caliscope(files: list[Path]) -> Reading:
     ``rotation_count`` is the number of quarter turns by which Caliscope rotates a picture for its tracker, whose points
     it rotates back: films and numbers fit as they are stored.
     """
-    tables, notes = camera_tables(files[0]), list[str]()
+    tables = camera_tables(files[0])
     ignored = [key for key, table in tables.items() if table.get("ignore", False)]
-    notes += [f"camera {key} is marked as ignored in {files[0].name} and was left out" for key in ignored]
-    cameras = [camera_of_table(f"cam_{k}", t, files[0], notes) for k, t in tables.items() if k not in ignored]
+    notes = [f"camera {key} is marked as ignored in {files[0].name} and was left out" for key in ignored]
+    cameras = [camera_of_table(f"cam_{k}", t, files[0]) for k, t in tables.items() if k not in ignored]
     return Reading("Caliscope camera_array.toml", tuple(cameras), "m", tuple(notes))
 
 
-def camera_of_table(name: str, table: dict, path: Path, notes: list[str]) -> RawCamera:
+def camera_of_table(name: str, table: dict, path: Path) -> RawCamera:
     """One camera from a table with matrix, distortions, rotation (axis-angle or matrix) and translation."""
     where = f"camera {name} in {path}"
     missing = [k for k in ("rotation", "translation") if k not in table]
     if missing:
         raise UserError(f"{where}: {missing[0]} is missing; run the extrinsic calibration too")
-    pose, scale = rigid_camera_from_world(
-        rotation_from_file(table["rotation"], f"{where}: rotation"),
-        finite_vector(table["translation"], f"{where}: translation"),
-        where,
-    )
-    if abs(scale - 1) > 1e-3:
-        notes.append(f"camera {name}: a scale of {scale:.4g} was removed from its rotation")
-    size = numbers(table.get("size", (0, 0)), f"{where}: size")
-    if size.shape != (2,):
-        raise UserError(f"{where}: size holds {size.size} numbers; it must be width and height")
-    width, height = size.tolist()
-    model = lens_model(table, where)
-    distortion = coefficients(model, table.get("distortions"), where)
-    intrinsics = unadjusted_intrinsics(table["matrix"], where)
-    return RawCamera(name, (round(width), round(height)), intrinsics, model, distortion, pose)
+    pose, wh = rigid_camera_from_world(table["rotation"], table["translation"], where), table.get("size", (0, 0))
+    return raw_camera(name, where, wh, table["matrix"], pose, table.get("distortions"), lens_model(table, where))
 
 
 def holds_cameras(path: Path) -> bool:

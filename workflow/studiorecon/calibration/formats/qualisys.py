@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 
 from studiorecon.calibration.formats.reading import CalibrationFormat, Reading, attribute, number_attributes, one_file
-from studiorecon.camera_files.raw_camera import RawCamera, camera_from_world_of_pose, intrinsics_matrix
+from studiorecon.camera_files.raw_camera import camera_from_world_of_pose, raw_camera
 from studiorecon.errors import UserError
 from studiorecon.scene.user_files import read_xml
 
@@ -37,19 +37,16 @@ def read(files: list[Path]) -> Reading:
             raise UserError(f"{where}: transform, intrinsic or fov_video is missing; export the calibration again")
         # The nine numbers are stored column by column: r11 r12 r13 are the image's x axis in the world.
         axes = number_attributes(transform, [f"r{i}{j}" for i in (1, 2, 3) for j in (1, 2, 3)], where).reshape(3, 3)
-        world_from_camera = np.eye(4)
-        world_from_camera[:3, :3] = axes.T @ _FLIP
-        world_from_camera[:3, 3] = number_attributes(transform, "xyz", where) / 1000
+        centre_m = number_attributes(transform, "xyz", where) / 1000
         left, top, right, bottom = number_attributes(frame, ("left", "top", "right", "bottom"), where)
         lengths = ("focalLengthU", "focalLengthV", "centerPointU", "centerPointV")
         fx, fy, cx, cy = number_attributes(intrinsic, lengths, where) / _SUBPIXELS
         # The misspelling is the format's.
         terms = ("radialDistortion1", "radialDistortion2", "tangentalDistortion1", "tangentalDistortion2")
         distortion = number_attributes(intrinsic, (*terms, "radialDistortion3"), where, "0")
-        wh = round(right - left + 1), round(bottom - top + 1)
-        intrinsics = intrinsics_matrix(fx, fy, cx - left, cy - top, integer_centres=True)
-        pose = camera_from_world_of_pose(world_from_camera, where)
-        cameras.append(RawCamera(name, wh, intrinsics, "opencv", np.pad(distortion, (0, 3)), pose))
+        wh, intrinsics = (right - left + 1, bottom - top + 1), (fx, fy, cx - left, cy - top)
+        pose = camera_from_world_of_pose(np.column_stack([axes.T @ _FLIP, centre_m]), where)
+        cameras.append(raw_camera(name, where, wh, intrinsics, pose, distortion))
     return Reading("Qualisys qca", tuple(cameras), "m", ())
 
 

@@ -34,6 +34,7 @@ _CAMERA = {
     "model": text("opencv", "fisheye"),
     "distortion": real("C"),
     "camera_from_world": real("4 4", such=RIGID),
+    "scale": real(above=0),
 }
 _READING = {
     "source": text(),

@@ -6,13 +6,11 @@ from __future__ import annotations
 from collections.abc import Mapping
 from pathlib import Path, PurePosixPath
 
-import numpy as np
-
 from studiorecon.calibration.formats.reading import CalibrationFormat, Reading, merged_static, one_file
-from studiorecon.camera_files.raw_camera import RawCamera, pose_rows, rigid_camera_from_world, unadjusted_intrinsics
+from studiorecon.camera_files.raw_camera import camera_from_world_of_pose, camera_from_world_of_rows, raw_camera
 from studiorecon.errors import UserError
 from studiorecon.scene.user_files import read_json
-from studiorecon.scene.user_values import as_mapping, numbers
+from studiorecon.scene.user_values import as_mapping
 
 
 def read(files: list[Path]) -> Reading:
@@ -31,14 +29,9 @@ def read(files: list[Path]) -> Reading:
         for index, (k, pose) in enumerate(zip(matrices, poses, strict=True)):
             name = PurePosixPath(content["fn"][t][index]).parent.name if "fn" in content else str(index)
             where = f"camera {name} at time {t} in {path}"
-            block = pose_rows(numbers(pose, f"{where}: its w2c"), where)
-            if inverted:
-                block = np.linalg.inv(np.vstack([block, [0, 0, 0, 1]]))[:3]
-            height, width = content["hw"][index] if "hw" in content else (content["h"], content["w"])
-            intrinsics = unadjusted_intrinsics(k, where, integer_centres=False)
-            camera_from_world, _ = rigid_camera_from_world(block[:, :3], block[:, 3], where)
-            wh = int(width), int(height)
-            cameras.append(RawCamera(name, wh, intrinsics, "opencv", np.zeros(8), camera_from_world))
+            placed = (camera_from_world_of_pose if inverted else camera_from_world_of_rows)(pose, where)
+            wh = content["hw"][index][::-1] if "hw" in content else (content["w"], content["h"])
+            cameras.append(raw_camera(name, where, wh, k, placed, integer_centres=False))
     kind = "MonoFusion Dy_train_meta.json" if "hw" in content else "Dynamic 3D Gaussians train_meta.json"
     static, named = merged_static(cameras, notes), "fn" in content
     if not named and len(static) < len({camera.name for camera in cameras}):

@@ -25,7 +25,7 @@ from studiorecon.calibration.formats.reading import (
     number_attributes,
     one_file,
 )
-from studiorecon.camera_files.raw_camera import RawCamera, camera_from_world_of_pose, intrinsics_matrix
+from studiorecon.camera_files.raw_camera import RawCamera, camera_from_world_of_pose, raw_camera
 from studiorecon.errors import UserError
 from studiorecon.geometry.distortion import distort
 from studiorecon.geometry.rotations import from_quaternion
@@ -64,9 +64,7 @@ def _camera(name: str, element: Element, frame: Element, where: str, notes: list
     x, y, z, w = _numbers(frame, "ORIENTATION", 4, where)
     if not 0.5 < np.linalg.norm([x, y, z, w]) < 2:
         raise UserError(f"{where}: ORIENTATION is no rotation; calibrate this camera again")
-    world_from_camera = np.eye(4)
-    world_from_camera[:3, :3] = from_quaternion(np.array([w, x, y, z])).T
-    world_from_camera[:3, 3] = _numbers(frame, "POSITION", 3, where)
+    axes, position = from_quaternion(np.array([w, x, y, z])).T, _numbers(frame, "POSITION", 3, where)
     if frame.get("VICON_RADIAL2") is not None:
         model, *rest = frame.get("VICON_RADIAL2", "").split() or [""]
         if model != "Vicon3Parameter" or len(rest) != 5:
@@ -84,9 +82,8 @@ def _camera(name: str, element: Element, frame: Element, where: str, notes: list
         )
     if terms.any():
         notes.append(f"camera {name}: Vicon's lens was written in OpenCV's numbers, within {left_px:.2g} px")
-    intrinsics = intrinsics_matrix(focal, focal, principal[0], principal[1], integer_centres=True)
-    pose = camera_from_world_of_pose(world_from_camera, where)
-    return RawCamera(name, (width, height), intrinsics, "opencv", distortion, pose)
+    pose = camera_from_world_of_pose(np.column_stack([axes, position]), where)
+    return raw_camera(name, where, (width, height), (focal, focal, *principal), pose, distortion)
 
 
 def _opencv_lens(

@@ -7,8 +7,7 @@ from pathlib import Path, PurePosixPath
 
 from studiorecon.calibration.formats.pickles import read_pickle
 from studiorecon.calibration.formats.reading import CalibrationFormat, Reading, one_file
-from studiorecon.camera_files.lens_kinds import coefficients
-from studiorecon.camera_files.raw_camera import RawCamera, rigid_camera_from_world, unadjusted_intrinsics
+from studiorecon.camera_files.raw_camera import raw_camera, rigid_camera_from_world
 from studiorecon.errors import UserError
 
 
@@ -28,10 +27,10 @@ def read(files: list[Path]) -> Reading:
     for index in range(count):
         name = folders[index] if named else str(index)
         where = f"camera {name} in {path}"
-        intrinsics = unadjusted_intrinsics(cams["K"][index], where)
-        distortion = coefficients("opencv", cams["D"][index] if "D" in cams else [], where)
-        pose, _ = rigid_camera_from_world(cams["R"][index], cams["T"][index], where)
-        cameras.append(RawCamera(name, (0, 0), intrinsics, "opencv", distortion, pose))
+        pose, distortion = rigid_camera_from_world(cams["R"][index], cams["T"][index], where), cams.get("D")
+        cameras.append(
+            raw_camera(name, where, (0, 0), cams["K"][index], pose, None if distortion is None else distortion[index])
+        )
     return Reading("ZJU-MoCap annots.npy", tuple(cameras), "mm", (), named=named)
 
 
