@@ -49,7 +49,7 @@ from studiorecon.scene.schema import record
 from studiorecon.tracks import keypoints as tracks_keypoints
 
 from benchmarks.pose2sim_peer import pose2sim_points
-from tests.defaults import loaded
+from tests.defaults import UNSEARCHED, loaded
 from tests.made.cameras import detect, ring, walk
 from tests.made.imported import imported
 from tests.made.take import after_similarity, made_take
@@ -177,7 +177,7 @@ def real_doctor(data: Path, take: str, out: Path) -> tuple[dict[str, Any], list[
             sightings.run(loaded(tracks_keypoints.Settings), c, [dataset.keypoints[c]], *about, 60.0, pixel_map, *found)
         footage, seen = [dataset.footage[c] for c in MAN], [out / f"{c}.npz" for c in MAN]
         lags, written = out / "lags.json", (out / "clocks.json", out / "sync.json")
-        moments.run(loaded(clocks.Settings), list(MAN), footage, "{}", 0, 0, 0, lags, out / "moments.json")
+        moments.run(loaded(clocks.Settings), list(MAN), footage, "{}", 0, 0, 0, lags, *UNSEARCHED)
         clocks.run(loaded(clocks.Settings), list(MAN), footage, seen, lags, "{}", 0, 0, *written)
         doctor.run(
             loaded(doctor.Settings),

@@ -40,6 +40,7 @@ from studiorecon.scene.files import read_json, write_json
 from studiorecon.scene.people import Detections, write_detections
 
 from benchmarks.filmed import Filmed, the_demo
+from tests.defaults import UNSEARCHED
 from tests.made.cameras import ring
 from tests.made.silent import Silent, rough, sighted
 from tests.made.sound import Recorder, record, world_sound
@@ -87,7 +88,7 @@ def estimate(
 ) -> None:
     """Write clocks and findings ``out`` of ``films``, both steps one after the other."""
     lags = out[0].with_name("lags.json")
-    moments.run(settings, cameras, films, "{}", 0, 0, 0, lags, out[0].with_name("moments.json"))
+    moments.run(settings, cameras, films, "{}", 0, 0, 0, lags, *UNSEARCHED)
     clocks.run(settings, cameras, films, seen, lags, "{}", 0, 0, *out)
 
 

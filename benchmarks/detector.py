@@ -24,13 +24,12 @@ import scipy
 import yaml
 from studiorecon.body.person_files import read_person
 from studiorecon.camera_files.colmap import read_model
-from studiorecon.detect import moments as detect
+from studiorecon.detect import people as detect
 from studiorecon.detector.network_files import DetectorFiles
 from studiorecon.footage.source import open_source
 from studiorecon.people import second_look
 from studiorecon.report.metrics.identities import score_identities
 from studiorecon.scene.files import read_table
-from studiorecon.scene.moments import write_moments
 from studiorecon.scene.people import PEOPLE_COLUMNS, read_detections, read_identities, read_people
 from studiorecon.scene.raw_detections import read_raw_detections
 
@@ -67,9 +66,7 @@ def networks(detector: str) -> list[Path]:
 
 def find_people(camera: str, source: Path, detector: str, found: Path) -> None:
     """Write the people of a whole film to ``found``."""
-    whole = found.with_suffix(".json")
-    write_moments(whole, {camera: [(0, 0, open_source(source, 30.0).frames)]})
-    detect.run(camera, source, whole, 30.0, DetectorFiles(networks(detector)), found)
+    detect.run(camera, source, [], [], 30.0, DetectorFiles(networks(detector)), found)
 
 
 def cost(detector: str, folder: Path) -> dict[str, Any]:

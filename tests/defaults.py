@@ -14,8 +14,11 @@ from typing import Any
 import yaml
 from studiorecon.configuration import settings as settings_module
 from studiorecon.configuration.step_settings import find_section
+from studiorecon.detector.network_files import DetectorFiles
 
 ROOT = Path(__file__).parents[1]
+UNSEARCHED: Any = ([], DetectorFiles([]), 1, [])
+"""The last arguments of ``clocks.moments`` where the detector searches no film."""
 
 
 # Settings that several steps share, and one of these.

@@ -22,7 +22,7 @@ from studiorecon.rig.room_picture import RoomPicture
 from studiorecon.scene.camera import Camera
 from studiorecon.tracks import keypoints as tracks_keypoints
 
-from tests.defaults import loaded
+from tests.defaults import UNSEARCHED, loaded
 from tests.made.cameras import detect, ring, walk
 from tests.made.edges import about_the_spot, drawn
 
@@ -174,7 +174,7 @@ def test_of_a_real_man_s_two_calibrations_edges_contradict_the_hand_picked_one(
     seen = [out / f"{c}.npz" for c in names]
     clocks = out / "clocks.json", out / "sync.json"
     lags = out / "lags.json"
-    moments.run(loaded(offsets.Settings), names, footage, "{}", 0, 0, 0, lags, out / "moments.json")
+    moments.run(loaded(offsets.Settings), names, footage, "{}", 0, 0, 0, lags, *UNSEARCHED)
     offsets.run(loaded(offsets.Settings), names, footage, seen, lags, "{}", 0, 0, *clocks)
     sizes, written = [out / f"{c}.json" for c in names], (out / "doctor.json", out / "doctor.html")
     doctor.run(loaded(doctor.Settings), "single", calibrated, names, footage, seen, sizes, *clocks, *written)

@@ -25,6 +25,7 @@ from studiorecon.scene.camera import Camera
 from studiorecon.scene.files import read_json
 from studiorecon.tracks import keypoints as tracks_keypoints
 
+from tests.defaults import UNSEARCHED
 from tests.made.cameras import detect, ring, walk
 from tests.made.cameras_parts import matrix, write_toml
 from tests.made.imported import imported
@@ -105,7 +106,7 @@ def examine(default_settings: Callable[..., dict[str, Any]]) -> Callable[..., di
         films = list(data.cameras), [data.footage[c] for c in data.cameras]
         part = json.dumps(dict(data.starts)), data.first_frame, data.frame_count
         clock = settings_module.load(clocks.Settings, default_settings("clocks"), "clocks")
-        moments.run(clock, *films, *part, 0, out / "lags.json", out / "moments.json")
+        moments.run(clock, *films, *part, 0, out / "lags.json", *UNSEARCHED)
         clocks.run(
             clock,
             *films,

@@ -27,6 +27,7 @@ from studiorecon.scene.files import read_json, write_json
 from studiorecon.scene.people import Detections, write_detections
 
 from benchmarks.clocks import the_man
+from tests.defaults import UNSEARCHED
 from tests.made.cameras import STANDING, detect, ring
 from tests.made.sound import Recorder, moving, record, world_sound
 
@@ -59,7 +60,7 @@ def find(default_settings: Callable[..., dict[str, Any]], tmp_path: Path) -> Cal
             write_detections(tmp_path / f"{d.camera}.npz", d)
         settings = load(clocks_step.Settings, default_settings("clocks", sync=sync), "clocks")
         cameras, lags = [r.name for r in recorders], tmp_path / "lags.json"
-        moments_step.run(settings, cameras, paths, starts, 0, count, 0, lags, tmp_path / "moments.json")
+        moments_step.run(settings, cameras, paths, starts, 0, count, 0, lags, *UNSEARCHED)
         clocks_step.run(
             settings,
             cameras,

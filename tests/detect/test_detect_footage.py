@@ -11,7 +11,6 @@ import cv2
 import numpy as np
 import pytest
 from studiorecon.clocks import moments as choose
-from studiorecon.detect import moments as first
 from studiorecon.detect import people
 from studiorecon.detector.blazepose import LANDMARKS, MASK_PX, Landmarks
 from studiorecon.detector.crops import Region
@@ -29,11 +28,11 @@ def networks(root: Path) -> list[Path]:
 
 
 def detected(source: Path, root: Path, folder: Path) -> RawDetections:
-    """What the three steps find in one film or folder."""
-    lags, moments, known, found = (folder / name for name in ("lags.json", "moments.json", "known.npz", "a.npz"))
-    choose.run(choose.Settings(sync="never"), ["a"], [source], "{}", 0, 0, 0, lags, moments)
-    first.run("a", source, moments, 30.0, DetectorFiles(networks(root)), known)
-    people.run("a", source, known, [], 30.0, DetectorFiles(networks(root)), found)
+    """What both steps find in one film or folder."""
+    known, found, files = folder / "known.npz", folder / "a.npz", DetectorFiles(networks(root))
+    asked = choose.Settings(sync="never"), ["a"], [source], "{}", 0, 0, 0, folder / "lags.json"
+    choose.run(*asked, ["a"], files, 1, [known])
+    people.run("a", source, [known], [], 30.0, files, found)
     return read_raw_detections(found)
 
 

@@ -3,21 +3,23 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from types import SimpleNamespace
+from typing import Any, cast
 
 import numpy as np
 import pytest
 from studiorecon.clocks import moments as choose
-from studiorecon.detect import moments, people
+from studiorecon.clocks.posterior import Source
+from studiorecon.detect import people
 from studiorecon.detector.film_detection import FilmDetector
+from studiorecon.detector.network_files import DetectorFiles
 from studiorecon.footage.frames import decode
 from studiorecon.footage.source import open_source
 from studiorecon.scene.clocks import Clock, Clocks
-from studiorecon.scene.moments import read_moments, unseen
-from studiorecon.scene.raw_detections import read_raw_detections
+from studiorecon.scene.raw_detections import read_raw_detections, unseen
 
 from tests.made.footage import smooth_pictures, write_video
 
@@ -66,31 +68,23 @@ def test_every_frame_is_looked_at_once_and_what_is_known_is_kept(
                 np.zeros((2, 3)),
             )
             for t in frames
-            if t % 4 < 4 * shown
+            if t % 40 < 40 * shown
         ]
 
     monkeypatch.setattr(FilmDetector, "rows", rows)
     monkeypatch.setattr(FilmDetector, "turned", lambda self, _: self)
-    first, known, found = tmp_path / "moments.json", tmp_path / "known.npz", tmp_path / "found.npz"
-    settings = choose.Settings(sync="never")
-    choose.run(settings, ["a", "b"], [film, film], "{}", 0, 0, 0, tmp_path / "lags.json", first)
-    assert sum(count for _, _, count in read_moments(first, "a")) > 0.9 * FRAMES, "all of it, where nobody is seen"
-    moments.run("a", film, first, 30.0, Networks(), known)  # type: ignore[arg-type]
+    known, found, files = tmp_path / "known.npz", tmp_path / "found.npz", cast("DetectorFiles", Networks())
+    asked = choose.Settings(sync="never"), ["a", "b"], [film, film], "{}", 0, 0, 0, tmp_path / "lags.json"
+    choose.run(*asked, ["a"], files, 1, [known])
     few = len(searched)
-    assert (few < FRAMES / 2) == (shown == 1.0), "more where fewer frames show somebody"
-    people.run("a", film, known, [], 30.0, Networks(), found)  # type: ignore[arg-type]
+    assert (few < FRAMES / 3) == (shown == 1.0), "more where fewer moments show somebody"
+    people.run("a", film, [known], [], 30.0, files, found)
     assert len(searched) < FRAMES + 40, "beside the frames before and after each stretch none twice"
     before, after = read_raw_detections(known), read_raw_detections(found)
-    assert after.frame.tolist() == [t for t in range(FRAMES) if t % 4 < 4 * shown]
+    assert after.frame.tolist() == [t for t in range(FRAMES) if t % 40 < 40 * shown]
     kept = np.isin(after.frame, before.frame)
     np.testing.assert_array_equal(after.keypoints[kept], before.keypoints)
     assert not unseen(after.looked, 0, FRAMES)
-
-
-def test_a_short_film_is_looked_at_at_once(tmp_path: Path) -> None:
-    film = write_video(tmp_path / "a.mp4", smooth_pictures(40, (48, 32)), 10)
-    choose.run(choose.Settings(sync="never"), ["a"], [film], "{}", 0, 0, 0, tmp_path / "lags.json", tmp_path / "m.json")
-    assert read_moments(tmp_path / "m.json", "a") == [(0, 0, 40)]
 
 
 def test_cameras_that_began_apart_are_looked_at_at_the_same_moments() -> None:
@@ -109,15 +103,51 @@ def test_cameras_that_began_apart_are_looked_at_at_the_same_moments() -> None:
     assert both["a"] == chosen["a"]
 
 
-def test_clocks_that_people_must_give_take_one_long_stretch_in_the_middle() -> None:
-    filmed = tuple(Clock(name, 10.0, 268) for name in ("a", "b"))
-    chosen = choose.stretches([Clocks(10.0, 0.0, 268, filmed)], 15.0)
-    assert chosen["a"] == chosen["b"]
-    assert chosen["a"][0][2] == 150
-    assert 40 < chosen["a"][0][1] < 90
-    assert {count for _, _, count in chosen["a"][1:]} == {15}
-    looked = [(first, count) for number, first, count in chosen["a"] if number < 3]
-    assert sum(count for _, count in unseen(looked, 0, 268)) > 268 / 4
+class Shown:
+    """Stands for ``Search`` of a film: notes the stretches, and shows nobody but in ``moments`` of it."""
+
+    def __init__(self, camera: str, moments: int, looked: Sequence[tuple[int, int]] = ()) -> None:
+        self.camera, self.moments, self.looked = camera, moments, looked
+        self.found = SimpleNamespace(frame=np.zeros(moments), looked=looked)
+
+    def beyond(self, parts: Sequence[tuple[int, int]]) -> Shown:
+        new = [one for part in parts for one in unseen(self.looked, *part)]
+        return Shown(self.camera, self.moments, [*self.looked, *new])
+
+    def shows_few(self) -> bool:
+        return sum(count for _, count in self.looked) < self.moments
+
+    def tracked(self) -> float:
+        """Seconds that were searched about the middle."""
+        return sum(count for first, count in self.looked if 205 <= first < 420) / 10
+
+
+@pytest.mark.parametrize(
+    ("needed_s", "motion_tells", "seconds"),
+    [(0.0, False, 8), (9.0, False, 13), (9.0, True, 8), (99.0, False, 23)],
+    ids=["at once", "of more", "and motion", "of nothing"],
+)
+def test_more_is_searched_while_offsets_are_unknown(
+    monkeypatch: pytest.MonkeyPatch, needed_s: float, motion_tells: bool, seconds: float
+) -> None:
+    """Five seconds in the middle and two stretches of 1.5 s; then motion; then the middle is doubled up to 20 s."""
+    filmed, compared = tuple(Clock(name, 10.0, 600) for name in ("a", "b")), list[int]()
+    link = choose.Lag(Source("made"), 0, 1, 0.0, 0.01, 0.01)
+    films: dict[str, Any] = {"a": Shown("a", 1), "b": Shown("b", 1)}
+
+    def lags(seen: Sequence[float], *_: Any) -> tuple[list[choose.Lag], dict[int, str]]:
+        return [link] if min(seen) >= needed_s else [], {}
+
+    def motion(before: choose.Evidence, people: Sequence[choose.Lag]) -> choose.Evidence:
+        compared.append(1)
+        return choose.Evidence([link] if motion_tells else [], {"motion": {}})
+
+    monkeypatch.setattr(choose, "people_lags", lags)
+    question = choose.Question(filmed, lambda _: [Clocks(10.0, 0.0, 600, filmed)], motion, True, 5.0, False)
+    done, _ = question.answered(films, choose.Evidence([], {}), 1)
+    assert sum(count for _, count in done[0].found.looked) == 10 * seconds
+    assert done[0].found.looked == done[1].found.looked
+    assert len(compared) == (needed_s > 5)
 
 
 def test_parts_not_yet_looked_at() -> None:

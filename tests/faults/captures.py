@@ -38,7 +38,7 @@ from studiorecon.scene.files import read_json
 from studiorecon.scene.people import read_detections
 from studiorecon.studio import capture
 
-from tests.defaults import loaded
+from tests.defaults import UNSEARCHED, loaded
 from tests.faults.rules import Variant, variants
 from tests.made.file_contents import FORMS, npz
 
@@ -115,7 +115,7 @@ def _steps(data: Dataset, work: Path) -> tuple[dict[str, np.ndarray], list[str]]
         calibration,
     )  # fmt: skip
     lags, part = work / "lags.json", (json.dumps(dict(data.starts)), data.first_frame, data.frame_count)
-    moments.run(loaded(offsets.Settings), cameras, films, *part, 0, lags, work / "moments.json")
+    moments.run(loaded(offsets.Settings), cameras, films, *part, 0, lags, *UNSEARCHED)
     offsets.run(
         loaded(offsets.Settings), cameras, films, sightings, lags, json.dumps(dict(data.starts)), data.first_frame,
         data.frame_count, clocks, sync, [calibration],

@@ -290,7 +290,7 @@ def test_what_trains_on_cuda_is_imported_only_when_it_is_requested() -> None:
 # Where only a part of the footage is used, the clocks say which before anybody is looked for in it; they then come from
 # sound alone, so that nothing goes round in a circle. And calibration files that a user brings hang on keypoints at
 # most, so people may tell the time by them.
-ASKED_BEFORE = {"detect_moments": {"clocks"}, "detect_people": {"clocks"}, "clocks_offsets": {"calibration"}}
+ASKED_BEFORE = {"detect_keypoints": {"clocks"}, "detect_people": {"clocks"}, "clocks_offsets": {"calibration"}}
 # What rules ask by name: constants of common.smk, methods of ``files``.
 COMMON = (ROOT / "workflow/rules/common.smk").read_text()
 ASKED = "".join((PACKAGE / "plan" / name).read_text() for name in ("rule_files.py", "user_inputs.py"))

@@ -105,7 +105,7 @@ def test_the_detectors_cameras_are_looked_at_twice(configured, capture, home):
     assert files.detections(SCENE) == ["results/capture/people/detections/back.npz", *tracks[1:]]
     assert files.detector_masks(Wildcards(scene="capture", camera="left")) == []
     assert len(files.detector_masks(Wildcards(scene="capture", camera="back"))) == 3
-    assert files.keypoints(Wildcards(scene="capture", camera="back")) == ["results/capture/detect/moments/back.npz"]
+    assert files.keypoints(Wildcards(scene="capture", camera="back")) == ["results/capture/clocks/people/back.npz"]
 
 
 def test_cameras_that_people_do_not_place_take_no_part(configured, capture, home, tmp_path):

@@ -75,7 +75,6 @@ NOT_FOLLOWED = {
     "window/projects.py enter 2": ROOT_MAY,
     "window/projects.py write_capture_yaml": PASSED_ON,
     "detect/keypoints.py run": PASSED_ON,
-    "detect/moments.py run 1": PASSED_ON,
     "footage/frames.py _of_one_size": FILM,
     "footage/timing.py read_timing": FILM,
     "background/half.py run": FIGURE,

@@ -39,7 +39,7 @@ PLANNED: dict[str, set[str] | None] = {
     "depth.precomputed": None,
     "views.precomputed": None,
     "enhance.precomputed": None,
-    "detect.network_layout": {"detect_moments", "detect_people", "people_second_look", "cameras_held_out"},
+    "detect.network_layout": {"clocks_moments", "detect_people", "people_second_look", "cameras_held_out"},
     "depth.reference": None,  # another calibration's
     "views.people": None,  # of masks by a network
     # Another source is another rule's work.
@@ -47,7 +47,7 @@ PLANNED: dict[str, set[str] | None] = {
     "views.synthesizer": {"views_synthesize"},
     # An effect forced on is another network in the training of people.
     "survey.force": {"humans_train"},
-    "capture.picture_fps": {"detect_moments", "detect_people", "people_second_look", "detect_keypoints"},
+    "capture.picture_fps": {"clocks_moments", "detect_people", "people_second_look", "detect_keypoints"},
 }
 # The page prints the settings that a result may depend on.
 SHOWN = "report_page"

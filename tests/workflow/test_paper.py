@@ -35,7 +35,7 @@ def registered(house: House) -> None:
 
 def test_the_whole_preset_is_planned_on_videos_alone(house: House, videos: Path) -> None:
     plan = House(house.folder, str(videos)).plan("--configfile", *PRESETS)
-    assert {"calibration_network": 1, "detect_moments": 4, "tracks_bodies": 4}.items() <= plan.items()
+    assert {"calibration_network": 1, "clocks_moments": 1, "tracks_bodies": 4}.items() <= plan.items()
     # Depth is the first moment's by the network that finds the cameras: no planes, no depth of plates.
     assert {"depth_first": 4, "capture_frames": 5}.items() <= plan.items()
     assert not {"depth_network", "depth_refine"} & set(plan)

@@ -42,7 +42,8 @@ def test_videos_and_a_calibration_are_enough(house: House, dataset: Path) -> Non
     (dataset / "no calibration").rename(dataset / "intri.yml")
     plan, doctor = on(house, dataset).plan(), on(house, dataset).plan("doctor")
     (dataset / "hidden").rename(dataset / "keypoints")
-    assert plan["detect_people"] == videos_alone["detect_moments"] == doctor["detect_moments"] == 3
+    assert plan["detect_people"] == 3
+    assert videos_alone["clocks_moments"] == doctor["clocks_moments"] == 1
     assert "detect_people" not in doctor, "some moments are enough"
     assert plan["detect_keypoints"] == 3, "when was each camera started?"
     assert videos_alone["detect_keypoints"] == doctor["detect_keypoints"] == 3
@@ -56,12 +57,12 @@ def test_a_network_of_one_s_own_is_an_input_of_the_steps_that_detect_people(hous
     (dataset / "keypoints").rename(dataset / "hidden")
     there = on(house, dataset)
     wanted = ("--configfile", there.overlay(detect={"network": str(network), "network_layout": "halpe26"}))
-    found = [f"results/{dataset.name}/detect/moments/{camera}.npz" for camera in ("left", "right")]
+    found = [f"results/{dataset.name}/detect/found/{camera}.npz" for camera in ("left", "right")]
     reported = there.snakemake("--dry-run", "--printshellcmds", "--cores", "1", *found, *wanted).stdout
     network.unlink()
     refused = there.snakemake("--dry-run", *wanted, check=False)
     (dataset / "hidden").rename(dataset / "keypoints")
-    assert reported.count(f"--second {network}") == reported.count("--layout halpe26") == 2
+    assert reported.count(f"--second {network}") == reported.count("--layout halpe26") == 3
     assert f"detect.network names {network}, which does not exist" in refused.stdout
 
 
@@ -69,7 +70,7 @@ def test_a_network_that_is_fetched_is_an_input_once_it_is_there(house: House, da
     (dataset / "keypoints").rename(dataset / "hidden")
     there = on(house, dataset)
     wanted = ("--configfile", there.overlay(detect={"network": "rtmpose"}, weights=str(tmp_path)))
-    found = f"results/{dataset.name}/detect/moments/left.npz"
+    found = f"results/{dataset.name}/detect/found/left.npz"
     refused = there.snakemake("--dry-run", "--cores", "1", found, *wanted, check=False)
     listed = there.snakemake("--cores", "1", "weights_list", *wanted).stdout
     (dataset / "hidden").rename(dataset / "keypoints")

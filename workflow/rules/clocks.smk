@@ -4,22 +4,26 @@
 rule clocks_moments:
     input:
         sources=files.all_footage,
+        networks=files.detector if PLAN.first_searched else [],
+        second=files.second_network if PLAN.first_searched else [],
     output:
         lags="results/{scene}/clocks/lags.json",
-        moments="results/{scene}/clocks/moments.json",
+        found=collect("results/{scene}/clocks/people/{camera}.npz", camera=PLAN.first_searched, allow_missing=True),
     log:
         "logs/{scene}/clocks/moments.log",
     benchmark:
         "timings/{scene}/clocks/moments.tsv"
     container:
         image("core")
-    threads: 1
+    threads: max(1, len(PLAN.first_searched))
     resources:
-        mem_mb=memory(1000),
+        mem_mb=memory(1000 + 500 * len(PLAN.first_searched)),
     params:
         settings=settings("clocks.moments"),
         code=code("clocks.moments"),
+        layout=config["detect"]["network_layout"],
         cameras=PLAN.cameras,
+        searched=PLAN.first_searched,
         starts=json.dumps(dict(PLAN.dataset.starts)),
         first_frame=PLAN.dataset.first_frame,
         frame_count=PLAN.dataset.frame_count,

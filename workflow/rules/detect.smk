@@ -25,34 +25,10 @@ if PLAN.dataset.chapters:
 
 if PLAN.person_sources.scale_cameras or not PLAN.person_sources.body_network:
 
-    rule detect_moments:
-        input:
-            source=files.footage,
-            moments="results/{scene}/clocks/moments.json",
-            networks=files.detector,
-            second=files.second_network,
-        output:
-            found="results/{scene}/detect/moments/{camera}.npz",
-        log:
-            "logs/{scene}/detect/moments/{camera}.log",
-        benchmark:
-            "timings/{scene}/detect/moments/{camera}.tsv"
-        container:
-            image("core")
-        threads: 1
-        resources:
-            mem_mb=memory(2000),
-        params:
-            code=code("detect.moments"),
-            layout=config["detect"]["network_layout"],
-            picture_fps=config["capture"]["picture_fps"],
-        shell:
-            command("detect.moments")
-
     rule detect_people:
         input:
             source=files.footage,
-            known="results/{scene}/detect/moments/{camera}.npz",
+            known=files.first_search,
             clocks=branch(PLAN.person_sources.uses_part, then="results/{scene}/clocks/clocks.json"),
             networks=files.detector,
             second=files.second_network,

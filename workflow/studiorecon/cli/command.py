@@ -12,7 +12,8 @@ import os
 import subprocess
 import sys
 import webbrowser
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from contextlib import suppress
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -162,13 +163,14 @@ def _demo(options: argparse.Namespace) -> int:
 
 
 def _doctor(options: argparse.Namespace) -> int:
-    capture = _capture(options.folder)
-    if options.folder.is_dir():
-        from studiorecon.cli.quick_check import quick_check  # loads OpenCV, which other subcommands do not need
+    meanwhile = _quick_check(options.folder) if options.folder.is_dir() else ()
+    return _snakemake("doctor", _capture(options.folder), options, meanwhile)
 
-        for sentence in quick_check(options.folder):
-            print(sentence, flush=True)
-    return _snakemake("doctor", capture, options)
+
+def _quick_check(folder: Path) -> Iterator[str]:
+    from studiorecon.cli.quick_check import quick_check  # loads OpenCV, for which Snakemake does not wait
+
+    yield from quick_check(folder)
 
 
 def _look(options: argparse.Namespace) -> int:
@@ -242,11 +244,15 @@ def _capture(folder: Path) -> str:
     return str(folder)
 
 
-def _snakemake(target: str, dataset: str, options: argparse.Namespace) -> int:
+def _snakemake(target: str, dataset: str, options: argparse.Namespace, meanwhile: Iterable[str] = ()) -> int:
+    """Snakemake's exit status; the sentences ``meanwhile`` are printed while it starts."""
     budget = getattr(options, "budget", None)
     command = snakemake_command(target, dataset, options.cores, getattr(options, "preset", None), options.rest)
     command += [] if budget is None else [f"budget_min={budget:g}"]
     with subprocess.Popen(command, env=environment()) as process:
+        with suppress(UserError):  # Snakemake refuses the capture in the same words
+            for sentence in meanwhile:
+                print(sentence, flush=True)
         while True:
             try:
                 status = process.wait()

@@ -1,16 +1,18 @@
 # SPDX-License-Identifier: Apache-2.0
-"""``clocks.moments``: lags by sound and motion, and the stretches of every film in which people are looked for first.
+"""``clocks.moments``: lags by sound and motion, and people in as many moments as clocks and calibration need.
 
-Cameras and clocks are checked on people at common moments, so every film's stretches are chosen by what sound and
-motion say of the clocks. A short take is one stretch.
+Evidence is sequential. Sound comes first, then people in a short stretch in the middle of the films and two more, at
+moments that the cameras share by the clocks so far. While an offset is undetermined, motion is compared, then the
+stretch is doubled; while a camera has shown people too seldom, more stretches follow.
 """
 
 from __future__ import annotations
 
 import json
 import math
-from collections.abc import Sequence
-from dataclasses import replace
+from collections.abc import Callable, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -18,51 +20,70 @@ import numpy as np
 from studiorecon.clocks import motion, sound
 from studiorecon.clocks.offsets import Settings as Settings
 from studiorecon.clocks.offsets import applied_clock, open_films
+from studiorecon.clocks.people import people_lags
 from studiorecon.clocks.posterior import MAX_HALF_S, Lag, choose_reference, estimate_offsets, write_lags
 from studiorecon.clocks.timeline import Timeline, clock_as_filmed, common_moments
+from studiorecon.detector.film_search import Search
+from studiorecon.detector.network_files import DetectorFiles
 from studiorecon.footage.sound_track import read_sound
 from studiorecon.footage.source import FootageSource
 from studiorecon.progress import progress
-from studiorecon.scene.clocks import Clocks
-from studiorecon.scene.moments import Stretch, write_moments
+from studiorecon.scene.clocks import Clock, Clocks
+from studiorecon.scene.raw_detections import write_raw_detections
 from studiorecon.signature import Written
 
 # Seconds of a stretch: a person takes two or three steps.
 _STRETCH_S = 1.5
-# Seconds of the first one where neither sound nor motion give the clocks, and people have to: cameras started by hand,
-# one after the other, must share a part of it.
-_APART_S = 15.0
+# Seconds of the first one where people have to give the clocks: it is doubled up to the second while they do not.
+_FIRST_S, _LONGEST_S = 5.0, 20.0
 # Seconds from the start of the films in which motion is compared: the next ones where those before are not enough.
 _MOTION_S = 20.0, 90.0
-# Most stretches of a take: enough where somebody is in one of six.
-_MOST = 20
-# At least three stretches of a film are searched; a film of at most this multiple of their seconds is searched whole.
+# Stretches that are searched in any case, the start, the middle and the end of a take; and the most of a take, enough
+# where somebody is in one of six.
+_MIN_STRETCHES, _MOST = 3, 20
+# A film of at most this multiple of their seconds is searched whole.
 _WHOLE = 4 / 3
 # Stretches of one film nearer than this are one: the pictures between are decoded anyway.
 _JOINED_S = 0.5
 
+Stretch = tuple[int, int, int]
+"""Number of a stretch of the take, the first frame of a part of it in a film, and the number of its frames."""
 
-def signal_lags(
-    films: Sequence[FootageSource | None], lines: Sequence[Timeline], paths: Sequence[Path]
-) -> tuple[list[Lag], dict[str, dict[int, str]]]:
-    """Lags by sound, and by motion unless sound links all cameras; by source the reason for every camera without."""
+
+@dataclass(frozen=True)
+class Evidence:
+    """Lags by sound and motion, and by source the reason for every camera without one."""
+
+    lags: list[Lag]
+    without: dict[str, dict[int, str]]
+
+
+def sound_evidence(films: Sequence[FootageSource | None], lines: Sequence[Timeline], paths: Sequence[Path]) -> Evidence:
+    """The lags by sound."""
     heard, why = sound.sound_lags([read_sound(p) if film else None for p, film in zip(paths, films)], lines)
-    if linked(heard, len(films)):
-        return heard, {"sound": why}
+    return Evidence(heard, {"sound": why})
+
+
+def with_motion(
+    before: Evidence, films: Sequence[FootageSource | None], lines: Sequence[Timeline], people: Sequence[Lag]
+) -> Evidence:
+    """The evidence with lags by motion, from as much of the films as links all cameras with ``people``'s help."""
     clocks = [clock_as_filmed("", line) for line in lines]
     rate = float(np.median([clock.fps for clock in clocks]))
     for seconds in _MOTION_S:
         energies = [motion.read_motion_energy(f, seconds) if f else np.zeros(0) for f in progress(films, "motion")]
         moved, still = motion.motion_lags(energies, clocks, rate)
-        if linked(heard + moved, len(films)) or all(line.frames <= seconds * line.fps for line in lines):
+        with_it = Evidence([*before.lags, *moved], {**before.without, "motion": still})
+        compared = all(line.frames <= seconds * line.fps for line in lines)
+        if compared or not unlinked([*with_it.lags, *people], len(films)):
             break
-    return heard + moved, {"sound": why, "motion": still}
+    return with_it
 
 
-def linked(lags: Sequence[Lag], cameras: int) -> bool:
-    """Whether every camera has a known offset from the reference."""
+def unlinked(lags: Sequence[Lag], cameras: int) -> list[int]:
+    """The cameras without a known offset from the reference."""
     offsets = estimate_offsets(lags, cameras, choose_reference(lags, cameras))
-    return all(offset.half_s <= MAX_HALF_S for offset in offsets)
+    return [c for c, offset in enumerate(offsets) if offset.half_s > MAX_HALF_S]
 
 
 def stretches(likely: Sequence[Clocks], first_s: float) -> dict[str, list[Stretch]]:
@@ -87,6 +108,62 @@ def stretches(likely: Sequence[Clocks], first_s: float) -> dict[str, list[Stretc
     return found
 
 
+def chosen_stretches(
+    likely: Sequence[Clocks], films: Sequence[Clock], first_s: float, part: bool
+) -> dict[str, list[Stretch]]:
+    """camera → ``stretches``; whole ``films`` where these are asked for and not a ``part``, or share no moment."""
+    if likely[0].refusal or (first_s == math.inf and not part):
+        return {c.camera: [(0, 0, c.frames)] for c in films}
+    return stretches(likely, first_s)
+
+
+@dataclass(frozen=True)
+class Question:
+    """Which offsets are asked for, and what they are estimated from.
+
+    Attributes:
+        filmed: the clocks as filmed.
+        place: the likely clocks by lags.
+        compare_motion: the evidence with motion, given people's lags.
+        asks_people: people may tell the offsets.
+        first_s: seconds of the first stretch; inf: the whole films.
+        part: only a part of the films is used.
+    """
+
+    filmed: Sequence[Clock]
+    place: Callable[[Sequence[Lag]], list[Clocks]]
+    compare_motion: Callable[[Evidence, Sequence[Lag]], Evidence]
+    asks_people: bool
+    first_s: float
+    part: bool
+
+    def answered(self, searches: dict[str, Search], signals: Evidence, threads: int) -> tuple[list[Search], Evidence]:
+        """The ``searches`` and the evidence when every offset and people in every searched film are known, or more of
+        the films would not tell them."""
+        first_s, upto, people = self.first_s, _MIN_STRETCHES, list[Lag]()
+        rate = float(np.median([clock.fps for clock in self.filmed]))
+        with ThreadPoolExecutor(threads) as pool:
+            while True:
+                chosen = chosen_stretches(self.place([*signals.lags, *people]), self.filmed, first_s, self.part)
+                parts = [[(first, n) for number, first, n in chosen[c] if number < upto] for c in searches]
+                done = pool.map(lambda one, wanted: one.beyond(wanted), searches.values(), parts)
+                searches = dict(zip(searches, progress(done, "cameras searched for people", len(searches))))
+                unknown = []
+                if self.asks_people:
+                    seen = [one.tracked() for one in searches.values() if len(one.found.frame)]
+                    people, _ = people_lags(seen, self.filmed, rate)
+                    unknown = unlinked([*signals.lags, *people], len(self.filmed))
+                shown = [c for c in unknown if (own := searches.get(self.filmed[c].camera)) and len(own.found.frame)]
+                if unknown and "motion" not in signals.without:
+                    signals = self.compare_motion(signals, people)
+                elif shown and first_s < _LONGEST_S:
+                    first_s *= 2
+                elif upto < len(next(iter(chosen.values()))) and any(one.shows_few() for one in searches.values()):
+                    upto += 1
+                else:
+                    return list(searches.values()), signals
+
+
 def run(
     settings: Settings,
     cameras: list[str],
@@ -96,37 +173,49 @@ def run(
     frame_count: int,
     whole: int,
     lags: Written,
-    moments: Written,
+    searched: list[str],
+    detector: DetectorFiles,
+    threads: int,
+    found: list[Written],
 ) -> None:
-    """Write ``lags`` and ``moments`` (JSON) of the footage ``sources``.
+    """Write ``lags`` (JSON) of the footage ``sources``, and who was ``found`` (npz) in moments of each ``searched``
+    camera's.
 
-    ``starts``, ``first_frame`` and ``frame_count`` as for ``clocks.offsets``. ``whole``: 1 to look at whole films.
+    ``starts``, ``first_frame`` and ``frame_count`` as for ``clocks.offsets``. ``whole``: 1 to search whole films.
     """
     films, lines = open_films(sources, settings.picture_fps)
     filmed = [clock_as_filmed(c, line) for c, line in zip(cameras, lines)]
-    rate, given = float(np.median([clock.fps for clock in filmed])), json.loads(starts)
-    found: list[Lag] = []
-    why: dict[str, dict[int, str]] = {}
-    if settings.sync != "never" and len(cameras) > 1:
-        found, why = signal_lags(films, lines, sources)
-    reference = choose_reference(found, len(cameras))
-    offsets = estimate_offsets(found, len(cameras), reference)
-    verdicts = [applied_clock(o, rate, clock.own_s[-1]) for o, clock in zip(offsets, filmed)]
-    if given:
-        made = [replace(c, offset_s=-float(given.get(c.camera, 0.0)) / c.fps) for c in filmed]
-    else:
-        made = [replace(c, offset_s=v.offset_s, drift_ppm=v.drift_ppm) for c, v in zip(filmed, verdicts)]
-    common = common_moments(made, first_frame, frame_count)
-    # Motion may be another person's: then the cameras may as well have been started together.
-    sure = given or "motion" not in why
-    likely = [common] if sure or common.refusal else [common, replace(common, cameras=tuple(filmed))]
-    known = given or not why or linked(found, len(cameras))
-    first_s = _STRETCH_S if known else _APART_S
+    rate, given, part = float(np.median([c.fps for c in filmed])), json.loads(starts), bool(first_frame or frame_count)
+
+    def place(known: Sequence[Lag]) -> list[Clocks]:
+        offsets = estimate_offsets(known, len(cameras), choose_reference(known, len(cameras)))
+        verdicts = [applied_clock(o, rate, clock.own_s[-1]) for o, clock in zip(offsets, filmed)]
+        if given:
+            made = [replace(c, offset_s=-float(given.get(c.camera, 0.0)) / c.fps) for c in filmed]
+        else:
+            made = [replace(c, offset_s=v.offset_s, drift_ppm=v.drift_ppm) for c, v in zip(filmed, verdicts)]
+        common = common_moments(made, first_frame, frame_count)
+        # Motion may be another person's: then the cameras may as well have been started together.
+        sure = given or common.refusal or not any(lag.source == motion.MOTION for lag in known)
+        return [common] if sure else [common, replace(common, cameras=tuple(filmed))]
+
+    def compare_motion(before: Evidence, people: Sequence[Lag]) -> Evidence:
+        return with_motion(before, films, lines, people)
+
+    wanted, signals = settings.sync != "never" and len(cameras) > 1, Evidence([], {})
+    asks_people = wanted and bool(searched) and not given and not part
+    if wanted:
+        signals = sound_evidence(films, lines, sources)
+        if not asks_people and unlinked(signals.lags, len(cameras)):
+            signals = compare_motion(signals, [])
+    first_s = _FIRST_S if asks_people and unlinked(signals.lags, len(cameras)) else _STRETCH_S
     if whole or all(clock.own_s[-1] <= _WHOLE * (first_s + 2 * _STRETCH_S) for clock in filmed):
         first_s = math.inf
-    if common.refusal or (first_s == math.inf and not first_frame and not frame_count):
-        chosen = {c.camera: [(0, 0, c.frames)] for c in filmed}
-    else:
-        chosen = stretches(likely, first_s)
-    write_lags(lags, found, why)
-    write_moments(moments, chosen)
+    question = Question(filmed, place, compare_motion, asks_people, first_s, part)
+    network, worth = (detector.detector(), detector.worth()) if searched else (None, {})
+    searches = {c: Search.of(c, film, network, worth) for c, film in zip(cameras, films) if c in searched}
+    done, signals = question.answered(searches, signals, threads) if searches else ([], signals)
+    write_lags(lags, signals.lags, signals.without)
+    for one, path in zip(done, found, strict=True):
+        write_raw_detections(path, one.found)
+        one.log()

@@ -14,9 +14,8 @@ import numpy as np
 
 from studiorecon.errors import UserError
 from studiorecon.footage.source import FootageSource, open_source
-from studiorecon.geometry.lens import lens_with_pixel_map
 from studiorecon.keypoints.coordinate_readings import affine
-from studiorecon.keypoints.detections import Settings, detections_from_detector, detections_from_recorded
+from studiorecon.keypoints.detections import Settings, as_filmed, detections_from_detector, detections_from_recorded
 from studiorecon.keypoints.film_check import BORNE_OUT, Film, check_against_film
 from studiorecon.keypoints.layouts import LAYOUTS
 from studiorecon.keypoints.motion import film_motion
@@ -24,8 +23,6 @@ from studiorecon.keypoints.numbering import possible_numberings
 from studiorecon.keypoints.readers import read_keypoints
 from studiorecon.keypoints.unmatched import without_record
 from studiorecon.progress import say, warn
-from studiorecon.scene.camera import Lens
-from studiorecon.scene.capture import Footage
 from studiorecon.scene.keypoint_verdict import KeypointVerdict, write_keypoint_verdict
 from studiorecon.scene.people import Detections, write_detections
 from studiorecon.scene.raw_detections import is_detector_file, read_raw_detections
@@ -71,7 +68,7 @@ def run(
         if is_detector_file(keypoints[0]):
             whole = read_raw_detections(keypoints[0])
             stop = max((sum(stretch) for stretch in whole.looked), default=0)
-            found = detections_from_detector(whole, *_as_filmed(camera, filmed, stop, pixel_map), settings)
+            found = detections_from_detector(whole, *as_filmed(camera, filmed, stop, pixel_map), settings)
             own, what = _none(whole.note, ""), whole.note
         else:
             rest = dict(zip(other_cameras, others, strict=True))
@@ -79,7 +76,7 @@ def run(
             own, described = _compared(settings, camera, keypoints, rest, layout, first, filmed, pixel_map)
             about = replace(about, refusal=own.refusal, notes=tuple(described))
             frames = int(own.pictures[-1]) + 1 if len(own.pictures) else 0
-            found = detections_from_recorded(own, *_as_filmed(camera, filmed, frames, pixel_map), settings)
+            found = detections_from_recorded(own, *as_filmed(camera, filmed, frames, pixel_map), settings)
             found = _nobody(camera) if own.refusal else found
             what = f"{own.program}, {own.layout}"
         say(f"camera {camera}: {len(found.frame)} detections ({what}), {len(np.unique(found.track))} tracks")
@@ -168,17 +165,3 @@ def _none(program: str, layout: str) -> RecordedKeypoints:
 def _nobody(camera: str) -> Detections:
     own = _none("", "coco17")
     return Detections(camera, own.layout, own.frame, own.frame, own.keypoints)
-
-
-def _as_filmed(camera: str, filmed: FootageSource, frames: int, pixel_map: str) -> tuple[Lens, Footage]:
-    """Lens and footage whose working pixels are the video's own: a pinhole of any focal length maps them to
-    themselves.
-    """
-    wh = filmed.wh
-    intrinsics = np.array([[max(wh), 0, wh[0] / 2], [0, max(wh), wh[1] / 2], [0, 0, 1.0]])
-    lens = lens_with_pixel_map(
-        Lens(camera, wh, intrinsics, "opencv", np.zeros(8), np.eye(4), np.eye(2, 3)), json.loads(pixel_map)
-    )
-    return lens, Footage(
-        camera, False, wh, intrinsics.tolist(), filmed.fps, frames, 0, filmed.path.name, "", wh, 0, 0.0, []
-    )

@@ -3,13 +3,20 @@
 
 from __future__ import annotations
 
+import json
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Literal
 
 import numpy as np
 
 from studiorecon.configuration.setting import setting
-from studiorecon.geometry.lens import calibration_from_video_pixels, working_from_calibration, working_from_video
+from studiorecon.footage.source import FootageSource
+from studiorecon.geometry.lens import (
+    calibration_from_video_pixels,
+    lens_with_pixel_map,
+    working_from_calibration,
+    working_from_video,
+)
 from studiorecon.keypoints.temporal_smoothing import smooth_keypoints
 from studiorecon.keypoints.tracking import TrackingLimits, drop_duplicates, track_ids
 from studiorecon.scene.camera import Camera, Lens
@@ -96,6 +103,17 @@ def detections_from_detector(found: RawDetections, lens: Lens, footage: Footage,
         footage.camera, found.layout, frame, np.zeros_like(frame), keypoints, points_m=found.points_m[rows], row=rows
     )
     return smooth_keypoints(track_detections(given, settings, footage.fps), footage.fps)
+
+
+def as_filmed(camera: str, filmed: FootageSource, frames: int, pixel_map: str = "[]") -> tuple[Lens, Footage]:
+    """Lens and footage whose working pixels are the video's own: a pinhole of any focal length maps them to
+    themselves. ``pixel_map`` (JSON): [scale, x, y] of ``Dataset.pixel_maps``, or []."""
+    wh = filmed.wh
+    intrinsics = np.array([[max(wh), 0, wh[0] / 2], [0, max(wh), wh[1] / 2], [0, 0, 1.0]])
+    lens = Lens(camera, wh, intrinsics, "opencv", np.zeros(8), np.eye(4), np.eye(2, 3))
+    return lens_with_pixel_map(lens, json.loads(pixel_map)), Footage(
+        camera, False, wh, intrinsics.tolist(), filmed.fps, frames, 0, filmed.path.name, "", wh, 0, 0.0, []
+    )
 
 
 def track_detections(given: Detections, settings: Settings, fps: float) -> Detections:

@@ -68,6 +68,12 @@ class Plan:
         return list(self.dataset.training)
 
     @property
+    def first_searched(self) -> list[str]:
+        """The cameras in which the detector searches some moments, for the doctor and for a calibration from people."""
+        asked = self.cameras if self.from_people else self.person_sources.doctor_cameras
+        return [camera for camera in asked if camera in self.person_sources.searched_cameras]
+
+    @property
     def held_out(self) -> list[str]:
         """The held-out cameras."""
         return list(self.dataset.held_out)

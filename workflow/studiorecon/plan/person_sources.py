@@ -23,6 +23,7 @@ class PersonSources:
         scale_cameras: cameras in which it only scales a network's calibration to metres, where bodies come from another
             network, which needs the calibration first.
         cameras: cameras with detections of people before there is a calibration.
+        searched_cameras: those of them in which the detector runs.
         file_cameras: those of them with keypoints from files.
         doctor_cameras: those of them that the doctor checks: the detector never runs in held-out ones just for it.
         clock_cameras: those whose people determine the time offsets before there is a calibration.
@@ -35,6 +36,7 @@ class PersonSources:
     detector_cameras: list[str]
     scale_cameras: list[str]
     cameras: list[str]
+    searched_cameras: list[str]
     file_cameras: list[str]
     doctor_cameras: list[str]
     clock_cameras: list[str]
@@ -65,6 +67,7 @@ def choose_person_sources(dataset: Dataset, config: Mapping[str, Any]) -> Person
         detector_cameras=detector_cameras,
         scale_cameras=scale_cameras,
         cameras=cameras,
+        searched_cameras=searched,
         file_cameras=[c for c in cameras if c not in searched],
         doctor_cameras=doctor_cameras,
         # Where only a part is used, the clocks must first determine which part the detector reads.

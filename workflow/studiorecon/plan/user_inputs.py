@@ -112,20 +112,26 @@ class UserInputs:
         """Keypoints of one camera: recorded ones, of every chapter where they exist per chapter, or the detector's of
         some moments."""
         camera = wildcards.camera
-        if camera in (*self.plan.person_sources.detector_cameras, *self.plan.person_sources.scale_cameras):
-            return [f"results/{wildcards.scene}/detect/moments/{camera}.npz"]
+        if searched := self.first_search(wildcards):
+            return searched
         recorded = self.plan.dataset.chapter_keypoints.get(camera, (self.plan.dataset.keypoints[camera],))
         return [self.in_dataset(path) for path in recorded]
 
+    def first_search(self, wildcards: Any) -> list[str]:
+        """Who was found in some moments of one camera; none where it was not searched yet."""
+        camera = wildcards.camera
+        searched = camera in self.plan.first_searched
+        return [f"results/{wildcards.scene}/clocks/people/{camera}.npz"] if searched else []
+
     def read_keypoints(self, wildcards: Any) -> list[str]:
         """Keypoints of one camera: all of the detector's, or recorded ones after comparison with their film."""
-        if wildcards.camera in (*self.plan.person_sources.detector_cameras, *self.plan.person_sources.scale_cameras):
+        if wildcards.camera in self.plan.person_sources.searched_cameras:
             return [f"results/{wildcards.scene}/detect/found/{wildcards.camera}.npz"]
         return [f"results/{wildcards.scene}/detect/recorded/{wildcards.camera}.npz"]
 
     def keypoints_of_other_cameras(self, camera: str) -> list[str]:
         """The other cameras with recorded keypoints, if this camera's are used: two cameras' may be swapped."""
-        looked_for = (*self.plan.person_sources.detector_cameras, *self.plan.person_sources.scale_cameras)
+        looked_for = self.plan.person_sources.searched_cameras
         if camera in looked_for:
             return []
         return [c for c in self.plan.dataset.keypoints if c != camera and c not in looked_for]

@@ -25,8 +25,8 @@ ASSUMED_PEOPLE = 2
 """Number of people where no keypoints give it: most captures have one to three."""
 # Share of the photos' pixels that no other photo shows in finer detail, in the demo.
 _OWN = 0.65
-# Frames of a film in which people are looked for before there are clocks: ten seconds at 30 per second.
-_FIRST_FRAMES = 300
+# Frames of a film in which people are looked for before there are clocks: six seconds at 30 per second.
+_FIRST_FRAMES = 180
 # Gaussians in unseen parts, per square of ``fill_step_m``'s side in m², in the demo's room of 60 m².
 _UNSEEN_M2 = 58.0
 # The default steps of depth's catalogue of planes.
@@ -127,7 +127,7 @@ def workload(
     work = {
         "studio_capture": Work(int(footage.synthetic), everyone * frames * filmed_mpx),
         # By frames: those of the first moments are not looked at again.
-        "detect_moments": Work(footage.detector_cameras, min(frames, _FIRST_FRAMES) * max(people, 1) * heavy),
+        "clocks_moments": Work(1, footage.detector_cameras * min(frames, _FIRST_FRAMES) * max(people, 1) * heavy),
         "detect_people": Work(footage.detector_cameras, max(frames - _FIRST_FRAMES, 0) * max(people, 1) * heavy),
         "detect_keypoints": Work(training, frames),
         "clocks_offsets": Work(1, looked_at),

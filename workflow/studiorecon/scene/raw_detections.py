@@ -128,3 +128,13 @@ def read_raw_detections(path: Path, masks: bool = False) -> RawDetections:
         return record(RawDetections, {**data, **empty, "looked": looked})
 
     return read(path, _FOUND, made, but=() if masks else ("mask",))
+
+
+def unseen(looked: Sequence[tuple[int, int]], first: int, count: int) -> list[tuple[int, int]]:
+    """(first, count) of the parts of ``count`` frames from ``first`` on that are in none of ``looked``."""
+    found, begin, stop = [], first, first + count
+    for one, length in [*sorted(looked), (stop, 0)]:
+        if begin < min(one, stop):
+            found.append((begin, min(one, stop) - begin))
+        begin = max(begin, one + length)
+    return found
