@@ -11,7 +11,7 @@ from studiorecon.detector.crops import Region
 from studiorecon.detector.hand_landmarks import Hand
 from studiorecon.keypoints.layouts import LAYOUTS
 from studiorecon.people.expected_keypoints import ExpectedKeypoints
-from studiorecon.people.fitting.hands import mend_sides, person_hands
+from studiorecon.people.fitting.hands import by_side, person_hands
 from studiorecon.people.hand_search import Arm, arms_in_view, find_hands, hands_of_rows, interpolate_hands
 from studiorecon.rig.body_points import person_tracks
 from studiorecon.rig.hand_sizes import hand_sizes_px, large_hands, second_best, usual_size
@@ -107,7 +107,7 @@ def searched(network: Network, camera: Camera) -> np.ndarray:
                         lambda pixels: pixels, 60.0)  # fmt: skip
     picture = np.zeros((4, 4, 3), np.uint8)
     found = find_hands(network, [picture] * FRAMES, arms)  # type: ignore[arg-type]
-    hands = hands_of_rows(found, FRAMES, lambda pixels: (pixels, np.ones(len(pixels), bool)))
+    hands, _ = hands_of_rows(found, FRAMES, lambda pixels: (pixels, np.ones(len(pixels), bool)))
     return interpolate_hands(hands, own, person, 60.0)
 
 
@@ -132,10 +132,9 @@ def test_a_hand_at_a_bent_wrist_is_searched_for_in_turned_crops(bent_rad: float,
     fingers = np.column_stack([np.linspace(0, 60, 21), np.tile([-8.0, 0.0, 8.0], 7)])
     c, s = np.cos(bent_rad), np.sin(bent_rad)
     hand = fingers @ np.array([[c, s], [-s, c]]) + 100
-    arm = Arm(0, 0, 0, 0, hand[0], hand[0] + [60.0, 0.0], 60.0)
+    arms = [Arm(t, t, 0, 0, hand[0], hand[0] + [60.0, 0.0], 60.0) for t in range(3)]
     network = Upright(np.stack([hand, hand + 900]))
-    network.looks = 0
-    found = find_hands(network, [np.zeros((4, 4, 3), np.uint8)], [arm])  # type: ignore[arg-type]
+    found = find_hands(network, [np.zeros((4, 4, 3), np.uint8)] * 3, arms)  # type: ignore[arg-type]
     assert bool(found) == is_found
 
 
@@ -143,41 +142,61 @@ def test_a_hand_at_a_bent_wrist_is_searched_for_in_turned_crops(bent_rad: float,
     "network",
     [
         Network(hands_in(ring(4)[:1])[0, 0], presence=0.1),
-        Network(hands_in(ring(4)[:1])[0, 0], right=(0.99, 0.01)),
         Network(hands_in(ring(4)[:1])[0, 0] + 300),
     ],
-    ids=["absent", "of the other side", "elsewhere"],
+    ids=["absent", "elsewhere"],
 )
 def test_what_is_no_hand_of_the_arm_is_not_kept(network: Network):
     assert not (searched(network, ring(4)[0])[..., 2] > 0).any()
 
 
-def test_one_hand_for_two_arms_is_that_of_its_side():
-    hand = np.full((21, 2), 100.0)
-    arms = [Arm(0, 0, side, 0, np.array([100.0, 100.0]), np.array([120.0, 100.0]), 60.0) for side in (0, 1)]
-    network = Network(np.stack([hand, hand + 900]), right=(0.3, 0.9))
-    found = find_hands(network, [np.zeros((4, 4, 3), np.uint8)], arms)  # type: ignore[arg-type]
-    assert list(found) == [(0, 0)]
+def arranged(cameras: list[Camera], right: float = 0.9) -> tuple[np.ndarray, np.ndarray]:
+    """Hands at the arms of their sides, and the network's probability of a right one."""
+    hands = hands_in(cameras)
+    return hands, np.broadcast_to([1 - right, right], hands.shape[:3]).copy()
 
 
-@pytest.mark.parametrize(("views", "wrong"), [(4, [2]), (4, []), (3, [0]), (5, [1, 3])])
-def test_left_and_right_are_mended(views: int, wrong: list[int]):
+@pytest.mark.parametrize(("views", "wrong"), [(4, [2]), (4, []), (3, [0]), (5, [1, 3]), (2, [1])])
+def test_exchanged_arms_are_mended_by_the_other_pictures(views: int, wrong: list[int]):
     cameras = ring(views)
-    truth = hands_in(cameras)
+    truth, unknown = hands_in(cameras), np.full((views, FRAMES, 2), np.nan)
     given = truth.copy()
     given[wrong, 2] = truth[wrong, 2, ::-1]
-    mended, exchanged = mend_sides(given, cameras)
-    np.testing.assert_allclose(mended, truth)
-    assert {(v, t) for v, t in zip(*np.nonzero(exchanged))} == {(v, 2) for v in wrong}
+    mended, exchanged = by_side(given, unknown, cameras, 20.0)
+    np.testing.assert_allclose(mended[..., :2], truth[..., :2])
+    assert mended[..., 2].min() > 0.9
+    assert exchanged == len(wrong)
 
 
-def test_two_views_that_contradict_each_other_lose_their_hands():
-    cameras = ring(4)[:2]
-    given = hands_in(cameras)
-    given[1, 2] = given[1, 2, ::-1].copy()
-    mended, _ = mend_sides(given, cameras)
-    assert np.isnan(mended[:, 2, ..., 0]).all()
-    np.testing.assert_allclose(np.delete(mended, 2, 1), np.delete(given, 2, 1))
+def test_the_networks_opinion_shows_which_of_two_cameras_errs_throughout():
+    cameras = ring(2)
+    truth, right = arranged(cameras)
+    given, opinion = truth.copy(), right.copy()
+    given[1], opinion[1] = truth[1, :, ::-1], right[1, :, ::-1]
+    mended, exchanged = by_side(given, opinion, cameras, 20.0)
+    np.testing.assert_allclose(mended[..., :2], truth[..., :2])
+    assert exchanged == FRAMES
+
+
+def test_a_sure_network_that_errs_for_a_moment_is_outvoted():
+    cameras = ring(4)
+    truth, right = arranged(cameras, 0.99)
+    right[1, 2:5] = right[1, 2:5, ::-1].copy()
+    mended, exchanged = by_side(truth, right, cameras, 20.0)
+    np.testing.assert_allclose(mended[..., :2], truth[..., :2])
+    assert exchanged == 0
+
+
+@pytest.mark.parametrize("arm", [0, 1])
+def test_one_hand_found_at_both_arms_is_that_of_its_side(arm: int):
+    cameras = ring(3)
+    truth, right = arranged(cameras)
+    given, opinion = truth.copy(), right.copy()
+    given[0], opinion[0] = truth[0, :, [arm, arm]].swapaxes(0, 1), right[0, :, [arm, arm]].T
+    mended, _ = by_side(given, opinion, cameras, 20.0)
+    np.testing.assert_allclose(mended[0, :, arm, :, :2], truth[0, :, arm, :, :2])
+    assert np.isnan(mended[0, :, 1 - arm, :, 0]).all()
+    np.testing.assert_allclose(mended[1:, ..., :2], truth[1:, ..., :2])
 
 
 def test_hands_of_a_persons_tracks_reach_the_fit():
@@ -186,11 +205,11 @@ def test_hands_of_a_persons_tracks_reach_the_fit():
     found = [replace(d, hands=truth[v].astype(np.float32)) for v, d in enumerate(people_in(cameras))]
     who = {(d.camera, 0): "p0" for d in found}
     about = found, who, cameras, [1.0] * 4, FRAMES
-    hands = person_hands("p0", *about, "auto")
+    hands = person_hands("p0", *about, "auto", 60.0)
     assert hands is not None
-    np.testing.assert_allclose(hands, truth, atol=1e-3)
-    assert person_hands("p1", *about, "auto") is None
-    assert person_hands("p0", *about, "off") is None
-    assert person_hands("p0", people_in(cameras), *about[1:], "auto") is None
+    np.testing.assert_allclose(hands[..., :2], truth[..., :2], atol=1e-3)
+    assert person_hands("p1", *about, "auto", 60.0) is None
+    assert person_hands("p0", *about, "off", 60.0) is None
+    assert person_hands("p0", people_in(cameras), *about[1:], "auto", 60.0) is None
     small = ring(4, 400)
-    assert person_hands("p0", people_in(small), who, small, [1.0] * 4, FRAMES, "auto") is None
+    assert person_hands("p0", people_in(small), who, small, [1.0] * 4, FRAMES, "auto", 60.0) is None

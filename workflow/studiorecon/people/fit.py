@@ -300,7 +300,7 @@ def run(
         about = footage.frames, limits, sigma_m, settings.fit.vertices
         surface = triangulate_surface(person, seen, whose, cameras, body_model, *about)
     film_px = [footage.of(c.name).film_px for c in cameras]
-    hands = person_hands(person, seen, whose, cameras, film_px, footage.frames, settings.hands)
+    hands = person_hands(person, seen, whose, cameras, film_px, footage.frames, settings.hands, footage.fps)
     fingers = None if hands is None else triangulate_hands(hands, cameras, limits)
     fitted, result = fit_person(person, points, body_model, footage.fps, settings, surface, fingers)
     residual_mm, sigma_mm = 1000 * np.nanmedian(result.residual_m), 1000 * np.median(fitted.sigma[fitted.valid])

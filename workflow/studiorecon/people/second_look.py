@@ -213,7 +213,7 @@ def with_hands(
     wanted = [view.footage.used[frame] for frame in frames]
     pictures = progress(read_stills(source, wanted), f"hands of {own.camera}", len(wanted))
     found = find_hands(network, pictures, arms)
-    hands = hands_of_rows(found, len(own.frame), view.in_working)
+    hands, right = hands_of_rows(found, len(own.frame), view.in_working)
     for row, side in found:
         now = people[person[row]].at(int(own.frame[row]))
         if now is not None and view.clocks.late_frames(own.camera).any():
@@ -222,7 +222,7 @@ def with_hands(
             hands[row, side, :, :2] += np.nan_to_num((now - place)[wrist])
     whole = interpolate_hands(hands, own, person, view.clocks.fps)
     say(f"camera {own.camera}: {len(found)} hands found at {len(arms)} ends of arms in {len(frames)} pictures")
-    return replace(own, hands=whole)
+    return replace(own, hands=whole, hands_right=right)
 
 
 @dataclass(frozen=True)

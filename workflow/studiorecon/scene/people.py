@@ -52,6 +52,7 @@ _DETECTIONS = {
     "points_m": OptionalField(metres("D K 3", gaps=True)),
     "row": OptionalField(whole("D", low=-1)),
     "hands": OptionalField(real("D 2 21 3", gaps=True, such=CONFIDENT)),
+    "hands_right": OptionalField(real("D 2", low=0, high=1, gaps=True)),
 }
 
 
@@ -72,6 +73,8 @@ class Detections:
         row: row in the detector's file that holds the person's mask (-1 = none); or None.
         hands: float32, the left and the right hand's points (``keypoints/hands.py``), as ``keypoints``; or None where
             no hand was searched for.
+        hands_right: probability, by the network that found them, that each of ``hands`` is a right one, NaN where there
+            is none; or None.
     """
 
     camera: str
@@ -86,6 +89,7 @@ class Detections:
     points_m: Num[np.ndarray, "D K 3"] | None = None
     row: Integer[np.ndarray, " D"] | None = None
     hands: Num[np.ndarray, "D 2 21 3"] | None = None
+    hands_right: Num[np.ndarray, "D 2"] | None = None
 
     def only(self, which: Bool[np.ndarray, " D"] | Integer[np.ndarray, " M"]) -> Detections:
         """The detections selected by ``which`` (bool mask or indices)."""

@@ -90,9 +90,10 @@ def triangulate_hands(
     """World points of the left and the right hand.
 
     A hand is small: a view that is off by half the body's limit shows another finger. Two cameras' points get the
-    thickness of half a finger added, as nothing proves that they mean the same side of it.
+    thickness of half a finger added, as nothing proves that they mean the same side of it. Unsure points count as
+    little as they say, but count.
     """
-    limits = replace(settings, outlier_units=settings.outlier_units / 2)
+    limits = replace(settings, outlier_units=settings.outlier_units / 2, min_confidence=0.0)
     return [
         triangulate_keypoints(list(names), hands[:, :, side], cameras, limits, _HALF_FINGER_M)
         for side, names in enumerate(HAND_POINT_NAMES)
