@@ -21,6 +21,7 @@ from studiorecon.images.silhouette import front_person, mesh_depth
 from studiorecon.masks import labelling
 from studiorecon.masks import segment as step
 from studiorecon.masks.log_odds import colour_difference
+from studiorecon.masks.user_masks import mask_pictures
 from studiorecon.scene.camera import Camera, Lens
 from studiorecon.scene.capture import Footage, write_footage
 from studiorecon.scene.factors import write_factors
@@ -243,3 +244,24 @@ def test_who_is_away_is_expected_nowhere(scene: Scene, settings: step.Settings) 
     outlines = [dilated_silhouettes([left], scene.body, scene.camera, frame, 0.05) for frame in (1, 3)]
     assert outlines[0].any()
     assert not outlines[1].any()
+
+
+def test_colours_of_given_masks_are_labels_and_alpha_cuts_people_out(tmp_path: Path) -> None:
+    label = np.zeros((20, 30), np.uint8)
+    label[5:9, 4:9], label[5:9, 20:25] = 1, 2
+    colours = np.array([[0, 0, 0], [0, 0, 128], [0, 128, 0]], np.uint8)  # as palettes of data sets are: equally bright
+    photo = np.random.default_rng(0).integers(0, 255, (20, 30, 3)).astype(np.uint8)
+    alpha = (255 * (label > 0)).astype(np.uint8)
+    shown = {
+        "coloured": colours[label], "of the other people first": colours[[0, 2, 1]][label],
+        "cut out": np.dstack([photo, alpha]), "white": np.dstack([np.full_like(photo, 255), alpha]),
+    }  # fmt: skip
+    (tmp_path / "masks").mkdir()
+    for k, picture in enumerate(shown.values()):
+        assert cv2.imwrite(str(tmp_path / f"masks/{k}.png"), picture)
+    first, second, cut_out, white = mask_pictures(tmp_path / "masks")
+    assert sorted(map(int, np.unique(first))) == [0, 253, 254]
+    assert np.array_equal(first > 0, label > 0)
+    assert (second[label == 1] == first[label == 2][0]).all(), "a colour has one label in all pictures"
+    assert np.array_equal(cut_out, alpha)
+    assert np.array_equal(white, alpha)

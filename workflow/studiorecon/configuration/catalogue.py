@@ -15,9 +15,8 @@ import yaml
 
 from studiorecon.configuration.schema import find_schema
 
-# A key of block style, and the rest of its line.
-_KEY = re.compile(r"( *)([\w-]+):(?:\s+(.*))?$")
-_MARKER = re.compile(r"# (----|\(end of )")
+# A key of block style, after the lines of comment right above it.
+_KEY = re.compile(r"^((?: *#.*\n)*)( *)([\w-]+):", re.MULTILINE)
 
 
 @dataclass(frozen=True)
@@ -100,25 +99,10 @@ def _as_yaml(value: Any) -> str:
 
 
 def _comments(text: str) -> Iterator[tuple[str, str]]:
-    """(dotted name, comment) of every key with one: lines right above at its indentation, then the end of its line."""
-    path: list[tuple[int, str]] = []
-    above: list[str] = []
-    for line in text.splitlines():
-        bare = line.strip()
-        if bare.startswith("#") and not _MARKER.match(bare):
-            above.append(line)
-            continue
-        key = _KEY.match(line)
-        if key is None:
-            above = []
-            continue
-        indent, name, rest = len(key[1]), key[2], key[3] or ""
-        while path and path[-1][0] >= indent:
-            path.pop()
-        path.append((indent, name))
-        own = [words.strip().lstrip("# ") for words in above if len(words) - len(words.lstrip()) == indent]
-        beside = rest.partition(" # ")[2] if " # " in rest else rest[2:] if rest.startswith("# ") else ""
-        words = " ".join(filter(None, [*own, beside]))
+    """(dotted name, comment right above it) of every key with one."""
+    path: list[str] = []
+    for above, indent, name in _KEY.findall(text):
+        path[len(indent) // 2 :] = [name]
+        words = [line.strip().lstrip("# ") for line in above.splitlines() if not line.startswith("# ----")]
         if words:
-            yield ".".join(name for _, name in path), words
-        above = []
+            yield ".".join(path), " ".join(words)

@@ -9,11 +9,14 @@ interpretation that the schema allows.
 from __future__ import annotations
 
 import difflib
+import math
 import re
 from collections.abc import Iterator, Mapping
 from typing import Any
 
 import jsonschema
+
+from studiorecon.scene.user_values import short_text
 
 _INTEGER = re.compile(r"[-+]?(?:0|[1-9]\d*)", re.ASCII)
 _REAL = re.compile(r"[-+]?(?:(?:0|[1-9]\d*)(?:\.\d*)?|\.\d+)(?:[eE][-+]?\d+)?", re.ASCII)
@@ -105,8 +108,16 @@ def _resolve(schema: Mapping[str, Any], root: Mapping[str, Any]) -> Mapping[str,
     return schema
 
 
-def _validator(schema: Mapping[str, Any], root: Mapping[str, Any]) -> jsonschema.Draft202012Validator:
-    return jsonschema.Draft202012Validator({**schema, "$defs": root.get("$defs", {})})
+_Finite = jsonschema.validators.extend(
+    jsonschema.Draft202012Validator,
+    type_checker=jsonschema.Draft202012Validator.TYPE_CHECKER.redefine(
+        "number", lambda _, value: type(value) is int or (type(value) is float and math.isfinite(value))
+    ),
+)
+
+
+def _validator(schema: Mapping[str, Any], root: Mapping[str, Any]) -> Any:
+    return _Finite({**schema, "$defs": root.get("$defs", {})})
 
 
 def _valid(value: Any, schema: Mapping[str, Any], root: Mapping[str, Any]) -> bool:
@@ -116,6 +127,7 @@ def _valid(value: Any, schema: Mapping[str, Any], root: Mapping[str, Any]) -> bo
 def _sentences(error: jsonschema.ValidationError, schema: Mapping[str, Any]) -> Iterator[str]:
     path = [str(step) for step in error.absolute_path]
     where = ".".join(path) or "the configuration"
+    found = f"setting {where} is {short_text(error.instance)}"
     if error.validator == "additionalProperties":
         known = list(error.schema.get("properties", {}))
         for name in error.instance:
@@ -137,22 +149,19 @@ def _sentences(error: jsonschema.ValidationError, schema: Mapping[str, Any]) -> 
     elif error.validator == "enum":
         near = difflib.get_close_matches(str(error.instance), list(map(str, error.validator_value)), 1)
         meant = f"; did you mean {near[0]}?" if near else ""
-        yield (
-            f"setting {where} is {error.instance!r}; it must be one of "
-            f"{', '.join(map(str, error.validator_value))}{meant}"
-        )
+        yield f"{found}; it must be one of {', '.join(map(str, error.validator_value))}{meant}"
     elif error.validator == "type" and error.instance is None and error.validator_value == "object":
         yield f"setting {where} is empty; leave it out, or say {where}: {{}} where nothing in it is to change"
     elif error.validator == "type":
         wanted = error.validator_value if isinstance(error.validator_value, list) else [error.validator_value]
-        yield f"setting {where} is {error.instance!r}; it must be {' or '.join(_KINDS[kind] for kind in wanted)}"
+        yield f"{found}; it must be {' or '.join(_KINDS[kind] for kind in wanted)}"
     elif error.validator in _BOUNDS:
-        yield f"setting {where} is {error.instance!r}; it must be {_BOUNDS[error.validator]} {error.validator_value}"
+        yield f"{found}; it must be {_BOUNDS[error.validator]} {error.validator_value}"
     elif error.validator in ("minItems", "maxItems"):
         bound = "at least" if error.validator == "minItems" else "at most"
         yield f"setting {where} has {len(error.instance)} entries; it must have {bound} {error.validator_value}"
     elif "description" in error.schema:
-        yield f"setting {where} is {error.instance!r}, but it must fit: {error.schema['description'].rstrip('.')}"
+        yield f"{found}, but it must fit: {error.schema['description'].rstrip('.')}"
     else:
         yield f"setting {where}: {error.message}"
 

@@ -29,6 +29,10 @@ from studiorecon.scene.numbered_files import missing_numbers_text, pictures_in
 if TYPE_CHECKING:
     from jaxtyping import Float, Integer, Num
 
+MAX_LABELS = 32
+"""Masks of more grey levels or colours than this hold no exact labels, and are thresholded at ``_HALF``."""
+_HALF = 127
+
 
 @dataclass(frozen=True)
 class UserMasks:
@@ -53,7 +57,7 @@ class UserMasks:
         for number, picture in enumerate(mask_pictures(self.path)):
             while at == number:
                 label = picture[self.rows, self.columns]
-                yield label if self.exact else (label > 127).astype(np.uint8)
+                yield label if self.exact else (label > _HALF).astype(np.uint8)
                 at = next(wanted, None)
 
 
@@ -81,7 +85,7 @@ def read_given(path: Path, footage: Path, calibration: Path, frames: int) -> Use
     values = np.any([occur[k] for k in chosen], axis=0)
     # Lossy codecs turn 0 into 1 and smear borders: a video with more grey levels than this holds no exact labels and is
     # thresholded.
-    return UserMasks(path, chosen, columns, rows, int(values.sum()) <= 32)
+    return UserMasks(path, chosen, columns, rows, int(values.sum()) <= MAX_LABELS)
 
 
 def label_given_masks(
@@ -138,12 +142,48 @@ def _by_body(region: np.ndarray, depths_m: np.ndarray, gate_m: float, camera: Ca
     return np.where(region, owner, 0).astype(np.uint8)
 
 
+class ColourLabels:
+    """Labels of masks that mark people by colours, the same in all pictures of a folder: grey ones keep their values,
+    others count down from 254.
+
+    The colours of photos are none: cut-outs have their alpha, others their greatest channel, to be thresholded.
+    """
+
+    def __init__(self) -> None:
+        self._of_code = np.zeros(0, np.uint8)
+        self._free = 254
+
+    def of(self, picture: Integer[np.ndarray, "H W ..."]) -> Integer[np.ndarray, "H W"]:
+        """(H, W) uint8 of a picture with one, three (BGR) or four channels; what alpha hides is background."""
+        if picture.ndim == 2:
+            return picture
+        colours, alpha = picture[..., :3], picture[..., 3:].max(-1, initial=0 if picture.shape[-1] == 4 else 255)
+        most = channel_max(colours)
+        if (alpha < 255).any() and len(np.unique(most)) > MAX_LABELS:
+            return alpha
+        grey = np.array_equal(colours, np.broadcast_to(most[..., None], colours.shape))
+        return np.where(alpha > _HALF, most if grey else self._coloured(colours, most), 0)
+
+    def _coloured(self, colours: np.ndarray, most: np.ndarray) -> np.ndarray:
+        if not len(self._of_code):
+            self._of_code = np.zeros(1 << 24, np.uint8)
+            self._of_code[0x010101 * np.arange(256)] = np.arange(256)
+        code = colours.astype(np.uint32) @ np.array([1, 1 << 8, 1 << 16], np.uint32)
+        new = np.unique(code[(self._of_code[code] == 0) & (code > 0)])
+        if 254 - self._free + len(new) > MAX_LABELS:
+            return most
+        self._of_code[new] = self._free - np.arange(len(new))
+        self._free -= len(new)
+        return self._of_code[code]
+
+
 def mask_pictures(path: Path) -> Iterable[Integer[np.ndarray, "H W ..."]]:
     if path.is_dir():
         files = pictures_in(path)
         if missing := missing_numbers_text(files):
             raise UserError(f"masks {path} lack the numbers {missing}; bring one mask for each frame")
         wh: tuple[int, ...] | None = None
+        labels = ColourLabels()
         for file in files:
             picture = read_image(file, cv2.IMREAD_UNCHANGED)
             if picture.dtype != np.uint8:
@@ -154,7 +194,7 @@ def mask_pictures(path: Path) -> Iterable[Integer[np.ndarray, "H W ..."]]:
                     f"{wh[0]}×{wh[1]}; bring masks of one size"
                 )
             wh = picture.shape[1::-1]
-            yield picture if picture.ndim == 2 else channel_max(picture[..., :3])
+            yield labels.of(picture)
         return
     for frame in read_frames(path):
         yield frame if frame.ndim == 2 else channel_max(frame)

@@ -23,7 +23,7 @@ MAX_SHOWN = 60
 """Number of characters shown of a refused value."""
 _LONGEST_NAME = 255
 _SHORT = reprlib.Repr()
-_SHORT.maxstring = _SHORT.maxother = _SHORT.maxlong = 2 * MAX_SHOWN
+_SHORT.maxstring, _SHORT.maxother, _SHORT.maxlong = 2 * MAX_SHOWN, 2 * MAX_SHOWN, MAX_SHOWN
 _SHORT.fillvalue = "…"
 
 
