@@ -36,7 +36,7 @@ from tests.defaults import loaded
 from tests.made.cameras import LIMITS, ring, walk
 from tests.made.recorded import taken_over
 
-BUNDLE, GAIN = BundleSettings(), 0.1
+BUNDLE = BundleSettings()
 TRUE = ring(5)[4]
 
 
@@ -58,19 +58,19 @@ def knocked(camera: Camera, degrees: float, metres: float, seed: int) -> Camera:
     return move_camera(camera, turn @ camera.camera_from_world[:3, :3], camera.centre_m + metres * way)
 
 
-@pytest.mark.parametrize(("degrees", "metres"), [(1.0, 0.1), (4.0, 0.4)])
+@pytest.mark.parametrize(("degrees", "metres"), [(0.3, 0.03), (1.0, 0.1), (4.0, 0.4)])
 @pytest.mark.parametrize("seed", range(3))
 def test_a_camera_that_was_knocked_is_put_right(degrees: float, metres: float, seed: int) -> None:
     given = knocked(TRUE, degrees, metres, seed)
-    found = estimate_held_out_pose(given, sighted(TRUE, seed), LIMITS, BUNDLE, GAIN)
+    found = estimate_held_out_pose(given, sighted(TRUE, seed), LIMITS, BUNDLE)
     left_deg, left_m = pose_changes([found.camera], [TRUE])
-    assert left_deg[0] < 0.3, left_deg
-    assert left_m[0] < 0.05, left_m
-    assert found.after_px < 5 < found.before_px
+    assert left_deg[0] < 0.2, left_deg
+    assert left_m[0] < 0.02, left_m
+    assert found.after_px < min(5, found.before_px)
 
 
 def test_a_camera_that_stayed_is_used_as_it_was_given() -> None:
-    found = estimate_held_out_pose(TRUE, sighted(TRUE), LIMITS, BUNDLE, GAIN)
+    found = estimate_held_out_pose(TRUE, sighted(TRUE), LIMITS, BUNDLE)
     np.testing.assert_array_equal(found.camera.camera_from_world, TRUE.camera_from_world)
     assert found.is_verified
     assert found.turned_deg == found.moved_m == 0
@@ -83,14 +83,14 @@ def test_what_shows_somebody_else_does_not_move_a_camera() -> None:
     mixed = replace(
         seen, pixels=np.where(wrong[:, None], sighted(TRUE).pixels[np.roll(np.arange(len(wrong)), 144)], seen.pixels)
     )
-    found = estimate_held_out_pose(knocked(TRUE, 2.0, 0.2, 1), mixed, LIMITS, BUNDLE, GAIN)
+    found = estimate_held_out_pose(knocked(TRUE, 2.0, 0.2, 1), mixed, LIMITS, BUNDLE)
     assert pose_changes([found.camera], [TRUE])[0][0] < 0.5
 
 
 def test_too_little_leaves_the_camera_unchecked_and_says_so() -> None:
     seen = sighted(TRUE)
     given = knocked(TRUE, 3.0, 0.3, 0)
-    found = estimate_held_out_pose(given, seen.of(np.arange(len(seen.frame)) < 40), LIMITS, BUNDLE, GAIN)
+    found = estimate_held_out_pose(given, seen.of(np.arange(len(seen.frame)) < 40), LIMITS, BUNDLE)
     assert not found.is_verified
     assert found.camera is given
     assert "unchecked" in pose_sentence("c4", found, 5)

@@ -47,10 +47,10 @@ _RIG_FRAMES = 16
 _LAID = 20
 # How much worse than the best a narrower prior may explain validation halves. Where cameras were not moved, the halves
 # of a real man's clip differed by 2 to 3 % between widths; where they had moved by a degree, by 9 % and more.
-MAX_ERROR_RATIO = 1.05
+_MAX_ERROR_RATIO = 1.05
 _MAX_UNITS = 3.0
 # One joint of every pair: the other half has the other side's, so both halves cover the body.
-VALIDATION_JOINTS = np.array([k % 4 in (0, 3) for k in range(len(STABLE_KEYPOINTS))])
+_VALIDATION_JOINTS = np.array([k % 4 in (0, 3) for k in range(len(STABLE_KEYPOINTS))])
 # Keypoints of a mean adult with arms out (metres): a rig from people alone is aligned to the given cameras, so only its
 # gates are in metres.
 _SIDE_M = np.array([[0.16, 0.49], [0.44, 0.47], [0.70, 0.46], [0.10, -0.03], [0.16, -0.45], [0.15, -0.86]])
@@ -168,7 +168,7 @@ def refine_with_wider_prior(
     seen, _ = make_observations(detections, best[1], frames, gate_m)
     rungs = [bundle, replace(bundle, prior_deg=_MIDDLE * bundle.prior_deg, prior_m=_MIDDLE * bundle.prior_m), wide]
     errors = [_unseen_error(seen, best[1], given, limits, rung) for rung in rungs]
-    chosen = next((k for k, error in enumerate(errors) if error <= MAX_ERROR_RATIO * min(errors)), 0)
+    chosen = next((k for k, error in enumerate(errors) if error <= _MAX_ERROR_RATIO * min(errors)), 0)
     used = agreeing_observations(seen, best[1], limits)
     if chosen == 0 or used is None:
         return None
@@ -271,7 +271,7 @@ def _unseen_error(
     counted = met.verified if len(found) > 2 else met.valid
     kept, inliers = seen.of(counted), met.inliers[:, counted]
     early = kept.frame <= np.median(kept.frame)
-    half = VALIDATION_JOINTS[kept.keypoint]
+    half = _VALIDATION_JOINTS[kept.keypoint]
     units, errors = unit_px(found, limits)[:, None], []
     for fit_on in (early, ~early, half, ~half):
         used = agreeing_observations(kept.of(fit_on), found, limits)
