@@ -15,7 +15,7 @@ rule clocks_moments:
         "timings/{scene}/clocks/moments.tsv"
     container:
         image("core")
-    threads: max(1, len(PLAN.first_searched))
+    threads: len(PLAN.cameras)
     resources:
         mem_mb=memory(1000 + 500 * len(PLAN.first_searched)),
     params:

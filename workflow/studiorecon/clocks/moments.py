@@ -13,6 +13,7 @@ import math
 from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
+from itertools import islice
 from pathlib import Path
 
 import numpy as np
@@ -65,18 +66,27 @@ def sound_evidence(films: Sequence[FootageSource | None], lines: Sequence[Timeli
 
 
 def with_motion(
-    before: Evidence, films: Sequence[FootageSource | None], lines: Sequence[Timeline], people: Sequence[Lag]
+    before: Evidence,
+    films: Sequence[FootageSource | None],
+    lines: Sequence[Timeline],
+    people: Sequence[Lag],
+    threads: int,
 ) -> Evidence:
     """The evidence with lags by motion, from as much of the films as links all cameras with ``people``'s help."""
     clocks = [clock_as_filmed("", line) for line in lines]
     rate = float(np.median([clock.fps for clock in clocks]))
-    for seconds in _MOTION_S:
-        energies = [motion.read_motion_energy(f, seconds) if f else np.zeros(0) for f in progress(films, "motion")]
-        moved, still = motion.motion_lags(energies, clocks, rate)
-        with_it = Evidence([*before.lags, *moved], {**before.without, "motion": still})
-        compared = all(line.frames <= seconds * line.fps for line in lines)
-        if compared or not unlinked([*with_it.lags, *people], len(films)):
-            break
+    unread = [motion.read_motion_energy(film, max(_MOTION_S)) if film else iter(()) for film in films]
+    energies = [np.zeros(0) for _ in films]
+    with ThreadPoolExecutor(threads) as pool:
+        for seconds in _MOTION_S:
+            more = [max(round(seconds * line.fps) - 1 - len(own), 0) for line, own in zip(lines, energies)]
+            read = progress(pool.map(lambda own, n: list(islice(own, n)), unread, more), "motion", len(films))
+            energies = [np.append(own, new) for own, new in zip(energies, read)]
+            moved, still = motion.motion_lags(energies, clocks, rate)
+            with_it = Evidence([*before.lags, *moved], {**before.without, "motion": still})
+            compared = all(line.frames <= seconds * line.fps for line in lines)
+            if compared or not unlinked([*with_it.lags, *people], len(films)):
+                break
     return with_it
 
 
@@ -200,7 +210,7 @@ def run(
         return [common] if sure else [common, replace(common, cameras=tuple(filmed))]
 
     def compare_motion(before: Evidence, people: Sequence[Lag]) -> Evidence:
-        return with_motion(before, films, lines, people)
+        return with_motion(before, films, lines, people, threads)
 
     wanted, signals = settings.sync != "never" and len(cameras) > 1, Evidence([], {})
     asks_people = wanted and bool(searched) and not given and not part

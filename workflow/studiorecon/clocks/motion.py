@@ -5,7 +5,7 @@ correlated."""
 from __future__ import annotations
 
 import itertools
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
@@ -57,20 +57,18 @@ class MotionLag:
     reason: str = ""
 
 
-def motion_energy(frames: Iterable[Integer[np.ndarray, "H W"]]) -> Float[np.ndarray, " T-1"]:
-    """(T - 1,) mean absolute change between successive grey frames (H, W) uint8 above the noise, in grey levels."""
-    energy = []
+def motion_energy(frames: Iterable[Integer[np.ndarray, "H W"]]) -> Iterator[float]:
+    """The T - 1 mean absolute changes between successive grey frames (H, W) uint8 above the noise, in grey levels."""
     before = None
     for frame in frames:
         grey = frame.astype(np.float32)
         if before is not None:
-            energy.append(float(np.maximum(np.abs(grey - before) - _NOISE_LEVELS, 0).mean()))
+            yield float(np.maximum(np.abs(grey - before) - _NOISE_LEVELS, 0).mean())
         before = grey
-    return np.array(energy)
 
 
-def read_motion_energy(source: FootageSource, seconds: float) -> Float[np.ndarray, " T"]:
-    """``motion_energy`` of footage, as far as it can be read."""
+def read_motion_energy(source: FootageSource, seconds: float) -> Iterator[float]:
+    """``motion_energy`` of the first ``seconds`` of footage, as far as it can be read."""
     return motion_energy(small_grey(source, _WIDTH, round(seconds * source.fps)))
 
 
