@@ -48,17 +48,25 @@ def rows(results: Path) -> list[str]:
     for person in read_people(results / "people/people.tsv"):
         lines += against_truth(results, person, seen, whose, cameras, film_px, manifest.frames)
         hands = person_hands(person, seen, whose, cameras, film_px, manifest.frames, "auto", manifest.fps)
-        for side, found in enumerate([] if hands is None else triangulate_hands(hands, cameras, Triangulation())):
-            whole = np.isfinite(found.points_m).all((1, 2))
-            points, views = found.points_m[whole], np.bincount((hands[:, :, side, 0, 2] > 0).sum(0)).tolist()
-            off = [s * (c.project(points)[0] - h[whole, side, :, :2]) for c, h, s in zip(cameras, hands, film_px)]
-            bones_mm = 1000 * np.linalg.norm(np.diff(points[:, BONES], axis=2)[:, :, 0], axis=-1)
-            spread_mm = np.median(np.abs(bones_mm - np.median(bones_mm, 0)), 0) if len(points) else [np.nan]
-            off_px = np.nanmedian(np.linalg.norm(off, axis=-1)) if len(points) else np.nan
-            lines.append(
-                f"{results.name} {person} {('left', 'right')[side]}: frames by views {views}, whole {len(points)}, "
-                f"off {off_px:.1f} px, bones ± {np.median(spread_mm):.1f} mm, at worst {np.max(spread_mm):.1f} mm"
-            )
+        if hands is not None:
+            lines += agreement(f"{results.name} {person}", hands, cameras, film_px)
+    return lines
+
+
+def agreement(label: str, hands: np.ndarray, cameras: list[Camera], film_px: list[float]) -> list[str]:
+    """A line for the left and the right of ``hands`` (V, T, 2, 21, 3)."""
+    lines = []
+    for side, found in enumerate(triangulate_hands(hands, cameras, Triangulation())):
+        whole = np.isfinite(found.points_m).all((1, 2))
+        points, views = found.points_m[whole], np.bincount((hands[:, :, side, 0, 2] > 0).sum(0)).tolist()
+        off = [s * (c.project(points)[0] - h[whole, side, :, :2]) for c, h, s in zip(cameras, hands, film_px)]
+        bones_mm = 1000 * np.linalg.norm(np.diff(points[:, BONES], axis=2)[:, :, 0], axis=-1)
+        spread_mm = np.median(np.abs(bones_mm - np.median(bones_mm, 0)), 0) if len(points) else [np.nan]
+        off_px = np.nanmedian(np.linalg.norm(off, axis=-1)) if len(points) else np.nan
+        lines.append(
+            f"{label} {('left', 'right')[side]}: frames by views {views}, whole {len(points)}, "
+            f"off {off_px:.1f} px, bones ± {np.median(spread_mm):.1f} mm, at worst {np.max(spread_mm):.1f} mm"
+        )
     return lines
 
 

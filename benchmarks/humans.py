@@ -7,11 +7,12 @@
 
 Every row trains by ``humans.train`` with the configuration's settings and one change: masks eroded, fitted bodies
 turned at random (one turn per joint for the whole clip, so that no average hides it), keypoints off by normal noise
-before the body is fitted to them, poses not refined, no temporal network. Pixels are those of photos 1280 wide, as the
-paper's are. Scores are of cameras no step reads, on every fifth frame: the PSNR on the pixels that the truth calls the
-person's, where a mask that is too small or a body beside itself costs most, and as in the paper's table the PSNR of
-whole frames, with the room and everybody else as they were trained. Losses are against the first row; seconds are of
-processor time. Table and machine go to benchmarks/results/humans.json after every row; others stay.
+before the body is fitted to them, poses not refined, no temporal network, no fingers. Pixels are those of photos 1280
+wide, as the paper's are. Scores are of cameras no step reads, on every fifth frame: the PSNR on the pixels that the
+truth calls the person's, also of those near head and hands, where a mask that is too small or a body beside itself
+costs most, and as in the paper's table the PSNR of whole frames, with the room and everybody else as they were trained.
+Losses are against the first row; seconds are of processor time. Table and machine go to
+benchmarks/results/humans.json after every row; others stay.
 """
 
 from __future__ import annotations
@@ -37,6 +38,7 @@ from studiorecon.footage.video import read_frames, write_lossless
 from studiorecon.geometry import rotations
 from studiorecon.humans import train
 from studiorecon.people import fit
+from studiorecon.scene.camera import Camera
 from studiorecon.scene.gaussians import concatenate
 from studiorecon.scene.gaussians_ply import read_ply
 from studiorecon.scene.people import Detections, Person, read_detections, read_people, write_detections
@@ -95,6 +97,14 @@ def off(photo_px: float) -> Callable[[Detections, int], Detections]:
     return change
 
 
+def without_fingers(person: Person) -> Person:
+    """The person as of a fit that saw no hands."""
+    return replace(person, hand_poses=None, hand_joints=None, hand_sigma=None, hand_scale=None)
+
+
+# Joints about which parts are, and their radius.
+PARTS: dict[str, tuple[list[int], float]] = {"head": ([15], 0.18), "hands": ([22, 23], 0.11)}
+
 ROWS: dict[str, dict[str, Any]] = {
     "full": {},
     "no network": {"temporal": {"use": "never"}},
@@ -108,6 +118,7 @@ ROWS: dict[str, dict[str, Any]] = {
     "bodies turned by 3 degrees": {"body": turned(3.0)},
     "bodies turned by 5 degrees": {"body": turned(5.0)},
     "bodies turned by 5 degrees, poses as fitted": {"body": turned(5.0), "rates": {"pose_rad": 0.0}},
+    "no fingers": {"body": without_fingers},
     "harmonics of degree 0": {"sh_degree": 0},
     "the paper's weight grid": {"skinning": "grid"},
 }
@@ -172,17 +183,19 @@ def refitted(scene: Path, person: str, change: Callable[[Detections, int], Detec
     return path
 
 
-def held_out_db(scene: Path, truth: Path, person: str, avatar: Avatar) -> tuple[list[float], list[float]]:
-    """PSNR of the person's pixels, and of whole frames, in every ``STEP``-th frame of every held-out camera that shows
-    60 of them."""
+def held_out_db(scene: Path, truth: Path, person: str, avatar: Avatar) -> dict[str, list[float]]:
+    """PSNR of the person's pixels, those of their ``PARTS``, and whole frames, in every ``STEP``-th frame of every
+    held-out camera that shows 60 of them."""
     rasteriser = Rasteriser(near_m=0.05, threads=1)
     room, model = read_ply(scene / "background/scene.ply"), BodyModel.load(BODY)
+    joints_m = read_person(truth / f"bodies/{person}.npz").joints
     others = [
         read_avatar(scene / f"humans/{p}.ply", scene / f"humans/{p}.npz", model)
         for p in read_people(scene / "people/people.tsv")
         if p != person
     ]
-    label, found, whole = json.loads((truth / "truth.json").read_text())["people"].index(person) + 1, [], []
+    label = json.loads((truth / "truth.json").read_text())["people"].index(person) + 1
+    found: dict[str, list[float]] = {name: [] for name in ("person", "frame", *PARTS)}
     for camera in read_model(scene / "cameras" / "heldout"):
         pictures, labels = (
             read_frames(truth / kind / f"{camera.name}.mkv", 0, avatar.frames) for kind in ("frames", "masks")
@@ -190,13 +203,28 @@ def held_out_db(scene: Path, truth: Path, person: str, avatar: Avatar) -> tuple[
         for frame, (photo, mask) in enumerate(zip(pictures, labels)):
             if frame % STEP or np.count_nonzero(mask == label) < 60:
                 continue
-            shown = rasteriser.forward(avatar.posed(frame), camera.resized(photo.shape[1::-1]), (0.3, 0.3, 0.3)).rgb
-            error = shown[mask == label] - photo[mask == label] / 255
-            found.append(float(-10 * np.log10(np.mean(error**2))))
+            seen = camera.resized(photo.shape[1::-1])
             everything = concatenate([room, *(one.posed(frame) for one in (avatar, *others))])
-            drawn = rasteriser.forward(everything, camera.resized(photo.shape[1::-1]), (0.0, 0.0, 0.0)).rgb
-            whole.append(float(-10 * np.log10(np.mean((drawn - photo / 255) ** 2))))
-    return found, whole
+            error, whole = (
+                ((rasteriser.forward(drawn, seen, colour).rgb - photo / 255) ** 2).mean(-1)
+                for drawn, colour in ((avatar.posed(frame), (0.3, 0.3, 0.3)), (everything, (0.0, 0.0, 0.0)))
+            )
+            parts = {"person": np.ones(mask.shape, bool)} | {
+                n: near(seen, joints_m[frame], *p) for n, p in PARTS.items()
+            }
+            for name, part in parts.items():
+                if np.count_nonzero(part & (mask == label)) >= 60:
+                    found[name].append(float(-10 * np.log10(error[part & (mask == label)].mean())))
+            found["frame"].append(float(-10 * np.log10(whole.mean())))
+    return found
+
+
+def near(camera: Camera, joints_m: np.ndarray, joints: list[int], radius_m: float) -> np.ndarray:
+    """(H, W) where a picture shows what is within a radius of some joints."""
+    pixels, depth_m = camera.project(joints_m[joints])
+    rows, columns = np.indices(camera.hw)
+    off = np.hypot(columns + 0.5 - pixels[:, 0, None, None], rows + 0.5 - pixels[:, 1, None, None])
+    return (off < (radius_m * camera.focal_px[0] / depth_m)[:, None, None]).any(0)
 
 
 def main() -> None:
@@ -209,14 +237,17 @@ def main() -> None:
     stored = json.loads(RESULTS.read_text()) if RESULTS.is_file() else {}
     table: dict[str, dict[str, float]] = stored.get("rows", {}) if stored.get("people") == options.people else {}
     for name in options.only:
-        scores, frames, seconds = [], [], 0.0
+        scores: dict[str, list[float]] = {}
+        seconds = 0.0
         for person in options.people:
             with tempfile.TemporaryDirectory() as folder:
                 ply, npz, spent = trained(options.scene, person, ROWS[name], Path(folder))
                 avatar = read_avatar(ply, npz, BodyModel.load(BODY))
-                own, whole = held_out_db(options.scene, options.truth, person, avatar)
-                scores, frames, seconds = scores + own, frames + whole, seconds + spent
-        means = {"person_db": np.mean(scores), "worst_person_db": np.min(scores), "frame_db": np.mean(frames)}
+                for part, own in held_out_db(options.scene, options.truth, person, avatar).items():
+                    scores.setdefault(part, []).extend(own)
+                seconds += spent
+        means = {f"{part}_db": np.mean(own) for part, own in scores.items() if own}
+        means["worst_person_db"] = np.min(scores["person"])
         table[name] = {key: round(float(value), 3) for key, value in means.items()} | {"cpu_s": round(seconds, 1)}
         for row in table.values() if "full" in table else ():
             row |= {
