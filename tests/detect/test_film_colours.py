@@ -4,12 +4,14 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 from studiorecon.footage.source import open_source
 from studiorecon.keypoints.film_colours import colour_notes, unlike_colours
+from studiorecon.scene.camera import Lens
 from studiorecon.scene.people import Detections
 
 from tests.made.footage import write_video
@@ -67,3 +69,11 @@ def test_an_inverted_film_is_named_by_its_people(tmp_path: Path) -> None:
     assert "camera b have the colours of the other films with its colours inverted" in messages
     assert colour_notes(films, [d for d in seen if d.camera != "b"]) == []
     assert colour_notes(films, [Detections("a", "coco17", frames[:0], frames[:0], keypoints[:0])]) == []
+    # A film with a bar above, whose keypoints are in the pixels of the calibrated picture below it.
+    write_video(tmp_path / "d.mp4", np.stack([np.pad(picture, ((48, 0), (0, 0), (0, 0)), constant_values=255)] * 12))
+    films["d"] = open_source(tmp_path / "d.mp4", 0.0)
+    right = [d for d in seen if d.camera != "b"] + [replace(seen[0], camera="d")]
+    below = np.array([[1.0, 0, 0], [0, 1, -48]])
+    lens = Lens("d", (128, 96), np.eye(3), "opencv", np.zeros(8), np.eye(4), below, keypoints_calibrated=True)
+    assert colour_notes(films, right, {"d": lens}) == []
+    assert colour_notes(films, right), "read as the film's pixels they are on other things"

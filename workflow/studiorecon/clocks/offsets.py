@@ -231,8 +231,8 @@ def run(
     seen = [read_detections(path) for path in sightings]
     lost: list[str] = []
     given: Mapping[str, float] = json.loads(starts)
+    read = read_lenses(calibration[0]) if calibration else {}
     if settings.sync != "never" and len(cameras) > 1:
-        read = read_lenses(calibration[0]) if calibration else {}
         lenses = {c: (read[c], film.wh) for c, film in films.items() if c in read}
         verdicts, found, reference = estimate_clocks(cameras, lines, *read_lags(lags), seen, lenses)
         in_step = [f["camera"] for f in found if f["kind"] in ("reference", "in step")]
@@ -254,7 +254,7 @@ def run(
         names, promised = [f"{s.parent.name}/{s.name}" for s in sources], [s.announced for s in opened if s]
         common = replace(common, refusal=different_lengths_note(made, names, unsure, promised))
     twice, moved = compare_views(films)
-    unlike = [*colour_notes(films, seen), *moved, *lost]
+    unlike = [*colour_notes(films, seen, read), *moved, *lost]
     for sentence in unlike:
         warn(sentence)
     common = replace(common, refusal=twice or common.refusal)

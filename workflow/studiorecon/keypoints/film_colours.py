@@ -16,6 +16,7 @@ from studiorecon.errors import UserError
 from studiorecon.footage.frames import seek_frames
 from studiorecon.footage.source import FootageSource
 from studiorecon.keypoints.layouts import LAYOUTS
+from studiorecon.scene.camera import Lens
 from studiorecon.scene.people import Detections
 
 if TYPE_CHECKING:
@@ -45,9 +46,11 @@ _READINGS = {
 }
 
 
-def colour_notes(films: Mapping[str, FootageSource], seen: Iterable[Detections]) -> list[str]:
-    """Warnings of films in whose people the colours are inverted or exchanged; ``seen`` by the films' own frames and
-    pixels. Films that cannot be read are left out: decoding refuses them."""
+def colour_notes(
+    films: Mapping[str, FootageSource], seen: Iterable[Detections], lenses: Mapping[str, Lens] | None = None
+) -> list[str]:
+    """Warnings of films in whose people the colours are inverted or exchanged; ``seen`` by the films' own frames, in
+    their pixels or, as ``lenses`` say, the calibration's. Unreadable films are left out: decoding refuses them."""
     colours = {}
     for found in seen:
         frames = np.unique(found.frame)
@@ -59,8 +62,13 @@ def colour_notes(films: Mapping[str, FootageSource], seen: Iterable[Detections])
                 pictures = seek_frames(films[found.camera], [int(frame) for frame in wanted])
             except UserError:
                 continue
-            colours[found.camera] = limb_colours(pictures, [found.keypoints[found.frame == t] for t in wanted],
-                                                 LAYOUTS[found.layout].keypoints)  # fmt: skip
+            lens, keypoints = (lenses or {}).get(found.camera), found.keypoints
+            if lens is not None and lens.keypoints_calibrated:
+                turn, shift = lens.calibration_from_video[:, :2], lens.calibration_from_video[:, 2]
+                at = (keypoints[..., :2] - shift) @ np.linalg.inv(turn).T
+                keypoints = np.concatenate([at, keypoints[..., 2:]], axis=-1)
+            people = [keypoints[found.frame == t] for t in wanted]
+            colours[found.camera] = limb_colours(pictures, people, LAYOUTS[found.layout].keypoints)
     return [
         f"people in the film of camera {camera} have the colours of the other films with {what}: export it again in "
         "the colours that the camera recorded"
