@@ -12,7 +12,7 @@ from studiorecon.calibration.files import Settings, paired_lenses, read_calibrat
 from studiorecon.calibration.formats.lenses import find_lenses, read_lenses, unused_reason
 from studiorecon.errors import UserError
 from studiorecon.plan.discovery import find_calibration, open_dataset
-from studiorecon.scene.capture_yaml import pixel_maps
+from studiorecon.scene.capture_yaml import by_camera
 
 from tests.made.cameras import ring
 from tests.made.cameras_parts import matrix
@@ -242,4 +242,4 @@ def test_a_camera_matrix_out_of_range_names_file_and_camera(tmp_path, change, me
 @pytest.mark.parametrize("offset", [[90_000, 0], [0, -70_000.0], [float("inf"), 0]])
 def test_offsets_of_pixel_maps_have_a_range(offset):
     with pytest.raises(UserError, match="pixel_maps of a"):
-        pixel_maps({"pixel_maps": {"a": {"scale": 1.0, "offset": offset}}}, {"a": Path("a.mp4")})
+        by_camera({"pixel_maps": {"a": {"scale": 1.0, "offset": offset}}}, "pixel_maps", {"a": Path("a.mp4")})

@@ -24,18 +24,15 @@ from studiorecon.plan.pairing import files_by_camera
 from studiorecon.scene.capture_yaml import (
     ABOUT_KEYPOINTS,
     WITHOUT_CALIBRATION,
+    by_camera,
     chapters,
-    first_numbers,
-    focal_lengths,
     frames_used,
     has_people,
     measured_lengths,
     names_under,
     path_under,
     paths_under,
-    pixel_maps,
     read_description,
-    read_starts,
 )
 from studiorecon.scene.dataset import PICTURE_SUFFIXES, Dataset, colmap_files
 from studiorecon.scene.names import check_name, check_path, compose_unicode, fold_name
@@ -84,7 +81,7 @@ def _opened(folder: Path, description: dict[str, Any]) -> Dataset:
         if camera == "manifest":
             raise UserError(f"the camera {path[0]} has the name of a table of results; rename the file or folder")
     every = {camera: parts[0] for camera, parts in films.items()}
-    starts = read_starts(description, every)
+    starts = by_camera(description, "starts", every)
     footage, held_out = _chosen_footage(folder, every, description)
 
     def place(noun: str) -> tuple[str, bool]:
@@ -103,15 +100,15 @@ def _opened(folder: Path, description: dict[str, Any]) -> Dataset:
         lenses=() if calibration else find_lenses(folder),
         keypoints=keypoints,
         keypoint_layout=_layout(path_under(description, "keypoint_layout") or "auto"),
-        keypoint_first_frame=first_numbers(description, footage),
+        keypoint_first_frame=by_camera(description, "keypoint_first_frame", footage),
         plates=files_by_camera(folder, *place("plates"), footage, _PLATES),
         masks=files_by_camera(folder, *place("masks"), footage, _MASKS),
         depth=files_by_camera(folder, *place("depth"), footage, _DEPTH),
         identities=_identities(folder, description),
-        pixel_maps=pixel_maps(description, footage),
-        focal_px=focal_lengths(description, footage),
+        pixel_maps=by_camera(description, "pixel_maps", footage),
+        focal_px=by_camera(description, "focal_px", footage),
         lengths=measured_lengths(description, footage),
-        starts={camera: starts[camera] for camera in footage} if starts else {},
+        starts={camera: starts.get(camera, 0.0) for camera in footage} if starts else {},
         first_frame=first,
         frame_count=count,
         people=has_people(description),

@@ -6,7 +6,7 @@ from __future__ import annotations
 import difflib
 from collections.abc import Callable, Mapping
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import Any
 
 from studiorecon.errors import UserError
 from studiorecon.scene.names import fold_name
@@ -19,9 +19,6 @@ _KEYS = {
     "focal_px", "height_m", "distance_m",
 }  # fmt: skip
 _SPELLINGS = ("capture.yaml", "capture.yml", "capture.yaml.txt")
-T = TypeVar("T")
-
-
 MAX_PEOPLE = 100
 # Focal lengths in pixels: lenses have smaller numbers in millimetres, and no telescope a larger one.
 MIN_FOCAL_PX, MAX_FOCAL_PX = 50.0, 1e6
@@ -142,45 +139,22 @@ def frames_used(description: dict[str, Any]) -> tuple[int, int]:
     return first, count
 
 
-def _by_camera(
-    description: dict[str, Any], key: str, footage: Mapping[str, Path], read: Callable[[Any, str], T], form: str = ""
-) -> dict[str, T]:
-    """camera → its value under ``key``, by ``read``; without a ``form`` one value may stand for all cameras."""
+def by_camera(description: dict[str, Any], key: str, footage: Mapping[str, Path]) -> dict[str, Any]:
+    """camera → its value under ``key``, one of ``starts``, ``keypoint_first_frame``, ``focal_px`` and ``pixel_maps``.
+
+    One value may stand for all cameras where ``_PER_CAMERA`` gives no form. Empty without the key.
+    """
+    read, form = _PER_CAMERA[key]
     given = description.get(key)
     if given is not None and not isinstance(given, Mapping) and not form:
         given = dict.fromkeys(footage, given)
-    found: dict[str, T] = {}
+    found: dict[str, Any] = {}
     for camera, value in as_mapping(given, f"capture.yaml: {key}", form).items():
         named = _check_named(camera, key, footage)
         if named in found:
             raise UserError(f"capture.yaml: {key} has camera {named} twice; keep one")
         found[named] = read(value, f"capture.yaml: {key} of {camera}")
     return found
-
-
-def read_starts(description: dict[str, Any], footage: Mapping[str, Path]) -> dict[str, float]:
-    """camera → the frame of its footage that shows one common moment, 0 by default; empty without the key."""
-    what = f"a number of frames of at most {_MAX_FRAMES}, such as 13 or 12.6"
-    form = "{cam02: 13}: the frame of cam02's video at which the others begin"
-    found = _by_camera(
-        description, "starts", footage, lambda value, at: number(value, at, -_MAX_FRAMES, _MAX_FRAMES, what), form
-    )
-    return dict.fromkeys(footage, 0.0) | found if found else {}
-
-
-def first_numbers(description: dict[str, Any], footage: Mapping[str, Path]) -> dict[str, int]:
-    """camera → ``keypoint_first_frame``; a single number applies to all cameras."""
-    return _by_camera(
-        description, "keypoint_first_frame", footage, lambda value, at: whole(value, at, -_MAX_NUMBER, _MAX_NUMBER)
-    )
-
-
-def focal_lengths(description: dict[str, Any], footage: Mapping[str, Path]) -> dict[str, float]:
-    """camera → ``focal_px``, in pixels of its footage; a single number applies to all cameras."""
-    what = f"a length in pixels above 0, of {MIN_FOCAL_PX:g} to {MAX_FOCAL_PX:g} (not millimetres)"
-    return _by_camera(
-        description, "focal_px", footage, lambda value, at: number(value, at, MIN_FOCAL_PX, MAX_FOCAL_PX, what)
-    )
 
 
 def measured_lengths(description: dict[str, Any], footage: Mapping[str, Path]) -> dict[str, Any]:
@@ -207,9 +181,8 @@ def measured_lengths(description: dict[str, Any], footage: Mapping[str, Path]) -
     return found
 
 
-def pixel_maps(description: dict[str, Any], footage: Mapping[str, Path]) -> dict[str, tuple[float, float, float]]:
-    """camera → (scale, x, y) of ``pixel_maps``."""
-    return _by_camera(description, "pixel_maps", footage, _pixel_map, "{cam01: {scale: 0.99, offset: [0.0, 7.2]}}")
+def _in_range(low: float, high: float, what: str) -> Callable[[Any, str], float]:
+    return lambda value, where: number(value, where, low, high, what)
 
 
 def _pixel_map(entry: Any, where: str) -> tuple[float, float, float]:
@@ -221,3 +194,22 @@ def _pixel_map(entry: Any, where: str) -> tuple[float, float, float]:
     what = f"a number of pixels of at most {MAX_PIXEL_OFFSET:g}"
     x, y = (number(value, f"{where}: offset", -MAX_PIXEL_OFFSET, MAX_PIXEL_OFFSET, what) for value in offset)
     return scale, x, y
+
+
+_PER_CAMERA: Mapping[str, tuple[Callable[[Any, str], Any], str]] = {
+    "starts": (
+        _in_range(-_MAX_FRAMES, _MAX_FRAMES, f"a number of frames of at most {_MAX_FRAMES}, such as 13 or 12.6"),
+        "{cam02: 13}: the frame of cam02's video at which the others begin",
+    ),
+    "keypoint_first_frame": (lambda value, where: whole(value, where, -_MAX_NUMBER, _MAX_NUMBER), ""),
+    "focal_px": (
+        _in_range(
+            MIN_FOCAL_PX,
+            MAX_FOCAL_PX,
+            f"a length in pixels above 0, of {MIN_FOCAL_PX:g} to {MAX_FOCAL_PX:g} (not millimetres)",
+        ),
+        "",
+    ),
+    "pixel_maps": (_pixel_map, "{cam01: {scale: 0.99, offset: [0.0, 7.2]}}"),
+}
+"""Keys with a value per camera: its check, and its form."""
