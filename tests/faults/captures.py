@@ -243,6 +243,7 @@ MIX_UPS: dict[str, Callable[[Path], None]] = {
     "film backwards": film(lambda frames: frames[::-1]),
     "film half mirrored": film(after_half(lambda frames: frames[:, :, ::-1])),
     "film half upside down": film(after_half(lambda frames: frames[:, ::-1, ::-1])),
+    "film letterboxed": film(lambda frames: np.pad(frames, ((0, 0), (20, 20), (0, 0), (0, 0)))),
     "film half black": film(after_half(lambda frames: frames * 0)),
     "keypoints stand still": people(after_half(lambda points: points[:1].repeat(len(points), 0))),
     "keypoints late": people(after_half(lambda points: points[[0, 0, 0, *range(len(points) - 3)]])),
