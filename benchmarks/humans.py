@@ -136,7 +136,8 @@ def trained(scene: Path, person: str, changes: dict[str, Any], folder: Path) -> 
     if change := changes.pop("keypoints", None):
         fitted = refitted(scene, person, change, folder)
     if change := changes.pop("body", None):
-        fitted = folder / f"{person}.fit.npz"
+        fitted = folder / f"fit/{person}.npz"
+        fitted.parent.mkdir()
         write_person(fitted, change(read_person(scene / f"people/{person}.npz")))
     ply, npz, settings = folder / f"{person}.ply", folder / f"{person}.npz", loaded(train.Settings, **changes)
     begin = time.process_time()
@@ -168,7 +169,8 @@ def refitted(scene: Path, person: str, change: Callable[[Detections, int], Detec
         write_detections(
             detections[-1], change(read_detections(scene / f"people/detections/{camera.name}.npz"), camera.wh[0])
         )
-    settings, who, path = loaded(fit.Settings), scene / f"people/who/{person}.tsv", folder / f"{person}.noisy.npz"
+    settings, who, path = loaded(fit.Settings), scene / f"people/who/{person}.tsv", folder / f"fit/{person}.npz"
+    path.parent.mkdir()
     fit.run(
         settings,
         person,
