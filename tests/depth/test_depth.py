@@ -14,7 +14,7 @@ from studiorecon.configuration.settings import load
 from studiorecon.depth import box as walls
 from studiorecon.depth import given, refine, sweep
 from studiorecon.depth import room as room_box
-from studiorecon.depth.layout.box import most_voted_offsets
+from studiorecon.depth.layout.box import Matching, choose_faces, most_voted_offsets
 from studiorecon.depth.layout.primitives import read_primitives
 from studiorecon.depth.layout.votes import Votes, read_sweeps
 from studiorecon.depth.layout.yaw import match_yaw
@@ -185,6 +185,16 @@ def test_rival_walls_are_decided_by_what_the_window_holds() -> None:
     assert np.allclose(found, [2.0 + 0.1 * 300 / 800, 3.0])
     assert most_voted_offsets(planes, votes, np.array([1.0, 0, 0]), 3.5, 1, 100) == []
     assert most_voted_offsets(planes, votes, np.array([0, 1.0, 0]), 1.5, 1, 100) == []
+
+
+def test_a_wall_is_where_the_whole_box_explains_most_and_missing_where_nothing_matches() -> None:
+    room, cameras = made_room(table=False), ring()
+    pictures = [Picture(c, photograph(room, c)[0], np.ones(c.hw, bool)) for c in cameras]
+    nobody = Votes(np.zeros((1, 4)), [np.zeros(c.hw, int) for c in cameras], [np.zeros(c.hw, bool) for c in cameras])
+    bare = room.room_box.with_faces(dict(enumerate((-12.0, 12.0, -12.0, 12.0, 0.0, 12.0))))
+    # Furniture a metre before the wall got more votes, and chance matches some behind another.
+    offsets = {1: [2.3, 3.3], 2: [-5.0], 3: [3.1], 5: []}
+    assert choose_faces(pictures, nobody, bare, offsets, Matching(7, 1.5, 0.3, 14.0)) == {1: 3.3, 3: 3.1}
 
 
 def test_plates_must_fit_their_cameras(tmp_path: Path, default_settings: Callable) -> None:

@@ -52,22 +52,25 @@ def fit_room_box(pictures: list[Picture], votes: Votes, yaw_rad: float, floor_m:
     centres = np.stack([p.camera.centre_m for p in pictures])
     start = RoomBox(yaw_rad, np.full(3, -np.inf), np.full(3, np.inf), np.zeros(6, bool), np.full(6, np.nan))
 
-    def found(face: int, clearance_m: float) -> float | None:
-        axis, side = start.axes[face // 2], 2 * (face % 2) - 1
-        edge = side * (side * centres @ axis).max()
-        beyond = edge + side * clearance_m
-        offsets = room.most_voted_offsets(votes.planes, count, axis, beyond, side, least)
-        return room.choose_face_offset(pictures, votes, axis, offsets, beyond, side, how) if offsets else None
+    def bare(turn: float) -> RoomBox:
+        far = replace(start, yaw_rad=yaw_rad + turn)
+        along = centres @ far.axes.T
+        return replace(
+            far, low_m=np.array([*(along.min(0) - settings.far_m)[:2], floor_m]), high_m=along.max(0) + settings.far_m
+        )
 
-    walls = {face: offset for face in range(4) if (offset := found(face, settings.wall_clearance_m)) is not None}
+    offsets = {}
+    for face in (0, 1, 2, 3, 5):
+        axis, side = start.axes[face // 2], 2 * (face % 2) - 1
+        beyond = side * ((side * centres @ axis).max() + settings.wall_clearance_m)
+        offsets[face] = room.most_voted_offsets(votes.planes, count, axis, beyond, side, least)
+    walls = room.choose_faces(pictures, votes, bare(0.0), offsets, how)
+    top = walls.pop(5, None)
     turn, turned = 0.0, {face: np.array([*start.axes[face // 2], offset]) for face, offset in walls.items()}
-    # Every pixel on a wall takes part, not only its voters: those were chosen by the yaw that is to be tested.
     looks = [p.textured(settings.window) & p.known for p in pictures]
+    # Every pixel on a wall takes part, not only its voters: those were chosen by the yaw that is to be tested.
     for span_rad, step_rad in _YAW_SEARCH_RAD:
-        far_m = centres.min(0) - settings.far_m, centres.max(0) + settings.far_m
-        box = replace(start, yaw_rad=yaw_rad + turn, low_m=far_m[0], high_m=far_m[1])
-        for face, plane in turned.items():
-            (box.low_m, box.high_m)[face % 2][face // 2] = plane[3]
+        box = bare(turn).with_faces({face: plane[3] for face, plane in turned.items()})
         faces = [box.intersect(*p.camera.rays())[1] for p in pictures]
         pixels = {face: [m & (at == face) for m, at in zip(looks, faces)] for face in turned}
         turn += room.refine_yaw(pictures, [(turned[face], pixels[face]) for face in turned], span_rad, step_rad, how)
@@ -92,7 +95,6 @@ def fit_room_box(pictures: list[Picture], votes: Votes, yaw_rad: float, floor_m:
     low[2], score[4] = room.place_plane(pictures, voters, axes[2], floor_m, 0.05, _PLACING_STEP_M, how)
     fitted[4] = sum(int(v.sum()) for v in voters) >= least
     high[2] = max(low[2] + settings.ceiling_default_m, centres[:, 2].max() + 1.0)
-    top = found(5, 0.2)
     if top is not None:
         voters = votes.voters(axes[2], top, _VOTER_REACH_M)
         high[2], score[5] = room.place_plane(pictures, voters, axes[2], top, *placing, how)

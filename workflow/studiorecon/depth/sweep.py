@@ -19,7 +19,7 @@ from studiorecon.depth.layout.yaw import match_yaw
 from studiorecon.depth.stereo.labelling import label_planes
 from studiorecon.depth.stereo.matching import UNKNOWN
 from studiorecon.depth.stereo.planes import plane_hypotheses, rig_centre, wall_yaw
-from studiorecon.depth.stereo.plates import Picture, equalise_exposure, floor_and_gains, read_pictures
+from studiorecon.depth.stereo.plates import Picture, best_score, equalise_exposure, floor_and_gains, read_pictures
 from studiorecon.depth.sweep_settings import FirstLook, Matching
 from studiorecon.progress import progress, say
 from studiorecon.scene.files import write_npz
@@ -65,21 +65,12 @@ class Settings(Matching, FirstLook):
 def best_costs(
     pictures: list[Picture], index: int, planes: Float[np.ndarray, "L 4"], settings: Settings
 ) -> Float[np.ndarray, "H W L"]:
-    """Float32 cost of every plane in one picture: 1 - agreement with the camera that agrees best.
-
-    Best, not mean: most surfaces are hidden from most cameras, and one that truly sees the surface is enough.
-    """
-    picture = pictures[index]
-    others = [p for i, p in enumerate(pictures) if i != index]
+    """Float32 cost of every plane in one picture: 1 - agreement with the camera that agrees best."""
+    picture, how = pictures[index], (settings.window, settings.mean_weight, settings.near_m, settings.far_m)
     cost = np.full((*picture.known.shape, len(planes)), IMPOSSIBLE, np.float32)
     for k, plane in enumerate(progress(planes, f"planes seen by {picture.camera.name}")):
         seen = picture.depth(plane, settings.near_m, settings.far_m) > 0
-        best = np.full(picture.known.shape, UNKNOWN, np.float32)
-        for other in others:
-            best = np.maximum(
-                best,
-                picture.score(other, plane, settings.window, settings.mean_weight, settings.near_m, settings.far_m),
-            )
+        best = best_score(pictures, index, plane, *how)
         cost[..., k] = np.where(seen, np.where(best > UNKNOWN, np.clip(1 - best, 0, 1.2), UNJUDGED), IMPOSSIBLE)
     return cost
 

@@ -4,7 +4,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict, dataclass, field
+from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -109,6 +109,13 @@ class RoomBox:
         """Rows u, v and z: coordinates in the box are ``points @ axes.T``."""
         c, s = np.cos(self.yaw_rad), np.sin(self.yaw_rad)
         return np.array([[c, s, 0.0], [-s, c, 0.0], [0.0, 0.0, 1.0]])
+
+    def with_faces(self, offsets_m: Mapping[int, float]) -> RoomBox:
+        """The box with these faces (indices in ``FACES``) at other offsets."""
+        low_m, high_m = self.low_m.copy(), self.high_m.copy()
+        for face, offset_m in offsets_m.items():
+            (low_m, high_m)[face % 2][face // 2] = offset_m
+        return replace(self, low_m=low_m, high_m=high_m)
 
     @property
     def faces(self) -> Num[np.ndarray, "6 4"]:

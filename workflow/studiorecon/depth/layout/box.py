@@ -3,14 +3,18 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from functools import cache
+from operator import itemgetter
 from typing import TYPE_CHECKING
 
 import numpy as np
 
 from studiorecon.depth.layout.votes import Votes
-from studiorecon.depth.stereo.plates import Picture
+from studiorecon.depth.stereo.matching import UNKNOWN
+from studiorecon.depth.stereo.plates import Picture, best_score
+from studiorecon.scene.room import RoomBox
 
 if TYPE_CHECKING:
     from jaxtyping import Bool, Float, Integer
@@ -22,6 +26,8 @@ _MIN_VOTERS = 30
 # width.
 _RIVAL_SHARE, _MAX_RIVALS = 0.2, 6
 _WIDE_SHARE = 20
+# Score that is as likely on a wrong surface as on the right one, and the score below which lower ones say no more.
+_EVEN_SCORE, _LEAST_SCORE = 0.32, -0.2
 
 
 @dataclass(frozen=True)
@@ -125,39 +131,52 @@ def most_voted_offsets(
     return offsets
 
 
-def choose_face_offset(
+def choose_faces(
     pictures: Sequence[Picture],
     votes: Votes,
-    normal: Float[np.ndarray, " 3"],
-    offsets: Sequence[float],
-    beyond: float,
-    side: int,
+    bare: RoomBox,
+    offsets: Mapping[int, Sequence[float]],
     how: Matching,
-) -> float:
-    """The strong wall on one side that best explains the pixels of all candidates, through a wide window.
+) -> dict[int, float]:
+    """The offset of each face with which the whole box explains all pixels best; faces that explain nothing lack.
 
-    A striped wallpaper correlates with itself one period further, and gathers votes there; in a window wide enough for
-    a picture or a door frame it no longer does. Neither the most voted nor the outermost plane is reliable.
+    ``bare`` is the box with its floor, its other faces too far away to match; ``offsets`` are each face's candidates.
+    Faces change one by one while the cost falls. No camera sees through a wall: the front of furniture, however many
+    pixels vote for it, would hide the floor and the walls that the photos match behind it. A striped wallpaper matches
+    itself one period further, but not in a window wide enough for a picture or a door frame.
     """
-    if len(offsets) == 1:
-        return offsets[0]
-    rivals = (votes.planes[:, :3] @ normal > 0.999) & (side * (votes.planes[:, 3] - beyond) > 0)
-    pixels = [m & rivals[c] for c, m in zip(votes.chosen, votes.confident)]
-    wide = 2 * (max(p.camera.wh[0] for p in pictures) // _WIDE_SHARE) + 1
-    explained = []
-    for k, offset in enumerate(offsets):
-        voters = votes.voters(normal, offset, 0.1)
-        offsets = [*offsets[:k], place_plane(pictures, voters, normal, offset, 0.06, 0.02, how)[0], *offsets[k + 1 :]]
-        plane, total = np.array([*normal, offsets[k]]), 0.0
-        for i, picture in enumerate(pictures):
-            others = [
-                picture.score(o, plane, wide, how.mean_weight, how.near_m, how.far_m)
-                for j, o in enumerate(pictures)
-                if j != i
-            ]
-            total += float(np.clip(np.max(others, axis=0)[pixels[i]], 0, 1).sum(dtype=np.float64))
-        explained.append(total)
-    return offsets[int(np.argmax(explained))]
+    window = 2 * (max(p.camera.wh[0] for p in pictures) // _WIDE_SHARE) + 1
+    rays, every = [p.camera.rays() for p in pictures], range(len(pictures))
+
+    @cache
+    def cost(face: int, offset: float) -> list[Float[np.ndarray, "H W"]]:
+        plane = np.array([*bare.axes[face // 2], offset])
+        best = [best_score(pictures, i, plane, window, how.mean_weight, how.near_m, how.far_m) for i in every]
+        return [np.where(b > UNKNOWN, _EVEN_SCORE - np.maximum(b, _LEAST_SCORE), 0) for b in best]
+
+    def total(placed: Mapping[int, float]) -> float:
+        box, judged = bare.with_faces(placed), {4: float(bare.low_m[2]), **placed}
+        return sum(
+            float(cost(face, offset)[i][seen == face].sum(dtype=np.float64))
+            for i, seen in enumerate(box.intersect(*ray)[1] for ray in rays)
+            for face, offset in judged.items()
+        )
+
+    def refined(face: int, offset: float) -> float:
+        normal = bare.axes[face // 2]
+        return place_plane(pictures, votes.voters(normal, offset, 0.1), normal, offset, 0.06, 0.02, how)[0]
+
+    tried = {face: [refined(face, offset) for offset in near] for face, near in offsets.items() if near}
+    placed, before = {face: near[0] for face, near in tried.items()}, np.inf
+    least = total(placed)
+    while least < before:
+        before = least
+        for face, near in tried.items():
+            rest = {other: offset for other, offset in placed.items() if other != face}
+            least, placed = min(
+                ((total(one), one) for one in (placed, rest, *({**rest, face: o} for o in near))), key=itemgetter(0)
+            )
+    return placed
 
 
 def refine_yaw(

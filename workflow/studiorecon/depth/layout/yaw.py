@@ -9,7 +9,7 @@ from dataclasses import replace
 import numpy as np
 
 from studiorecon.depth.stereo.planes import rig_centre
-from studiorecon.depth.stereo.plates import Picture
+from studiorecon.depth.stereo.plates import Picture, best_score
 from studiorecon.footage.stills import shrink_plate
 
 # Coarse pictures suffice: a wall 4° off is 20 cm off three metres along, some two pixels at this width.
@@ -64,10 +64,7 @@ def _shrink(picture: Picture) -> Picture:
 
 def _best_score(pictures: Sequence[Picture], index: int, plane: np.ndarray, near_m: float, far_m: float) -> np.ndarray:
     """(H, W) best agreement of one picture with any other through a plane; -1 for none."""
-    scores = [
-        pictures[index].score(o, plane, _WINDOW, 1.0, near_m, far_m) for j, o in enumerate(pictures) if j != index
-    ]
-    return np.maximum(np.max(scores, axis=0), -1) if scores else np.full(pictures[index].known.shape, -1, np.float32)
+    return np.maximum(best_score(pictures, index, plane, _WINDOW, 1.0, near_m, far_m), np.float32(-1))
 
 
 def _best_agreement(

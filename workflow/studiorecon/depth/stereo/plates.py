@@ -82,6 +82,26 @@ class Picture:
         )
 
 
+def best_score(
+    pictures: Sequence[Picture],
+    index: int,
+    plane: Float[np.ndarray, " 4"],
+    window: int,
+    mean_weight: float,
+    near_m: float,
+    far_m: float,
+) -> Float[np.ndarray, "H W"]:
+    """Float32 agreement of one picture with the other that agrees best; ``UNKNOWN`` where none is comparable.
+
+    Best, not mean: most surfaces are hidden from most cameras, and one that truly sees the surface is enough.
+    """
+    best = np.full(pictures[index].known.shape, UNKNOWN, np.float32)
+    for j, other in enumerate(pictures):
+        if j != index:
+            best = np.maximum(best, pictures[index].score(other, plane, window, mean_weight, near_m, far_m))
+    return best
+
+
 def read_pictures(cameras: Sequence[Camera], plates: Sequence[Path], width: int) -> list[Picture]:
     """The plates at most ``width`` pixels wide; raises UserError when a plate does not have its camera's size."""
     require_one_each(cameras, plates=plates)
