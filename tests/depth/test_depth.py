@@ -14,14 +14,14 @@ from studiorecon.configuration.settings import load
 from studiorecon.depth import box as walls
 from studiorecon.depth import given, refine, sweep
 from studiorecon.depth import room as room_box
-from studiorecon.depth.layout.box import Matching, choose_faces, most_voted_offsets
+from studiorecon.depth.layout.box import choose_faces, most_voted_offsets
 from studiorecon.depth.layout.primitives import read_primitives
 from studiorecon.depth.layout.votes import Votes, read_sweeps
 from studiorecon.depth.layout.yaw import match_yaw
 from studiorecon.depth.stereo.matching import plane_depth
 from studiorecon.depth.stereo.planes import wall_yaw
 from studiorecon.depth.stereo.plates import Picture
-from studiorecon.depth.sweep_settings import DefaultConfidence
+from studiorecon.depth.sweep_settings import DefaultConfidence, Matching
 from studiorecon.errors import UserError
 from studiorecon.footage.exr import read_depth, write_depth
 from studiorecon.scene.camera import Camera
@@ -194,7 +194,7 @@ def test_a_wall_is_where_the_whole_box_explains_most_and_missing_where_nothing_m
     bare = room.room_box.with_faces(dict(enumerate((-12.0, 12.0, -12.0, 12.0, 0.0, 12.0))))
     # Furniture a metre before the wall got more votes, and chance matches some behind another.
     offsets = {1: [2.3, 3.3], 2: [-5.0], 3: [3.1], 5: []}
-    assert choose_faces(pictures, nobody, bare, offsets, Matching(7, 1.5, 0.3, 14.0)) == {1: 3.3, 3: 3.1}
+    assert choose_faces(pictures, nobody, bare, offsets, Matching()) == {1: 3.3, 3: 3.1}
 
 
 def test_plates_must_fit_their_cameras(tmp_path: Path, default_settings: Callable) -> None:

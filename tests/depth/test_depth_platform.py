@@ -12,10 +12,10 @@ import numpy as np
 import pytest
 from studiorecon.configuration.settings import load
 from studiorecon.depth import box, sweep
-from studiorecon.depth.layout.box import Matching
 from studiorecon.depth.layout.platform import fit_platform
 from studiorecon.depth.layout.primitive_fitting import fit_primitives
 from studiorecon.depth.stereo.plates import Picture
+from studiorecon.depth.sweep_settings import Matching
 from studiorecon.geometry import rotations
 from studiorecon.geometry.camera_path import with_pose
 from studiorecon.scene.room import Platform, RoomBox, read_room

@@ -46,7 +46,7 @@ def fit_room_box(pictures: list[Picture], votes: Votes, yaw_rad: float, floor_m:
     A default wall is ``far_m`` beyond the cameras until ``complete_room``, the default ceiling at
     ``ceiling_default_m`` above the floor (at least a metre above the highest camera).
     """
-    how, placing = _matching(settings), (_PLACING_SPAN_M, _PLACING_STEP_M)
+    how, placing = settings, (_PLACING_SPAN_M, _PLACING_STEP_M)
     count = votes.count()
     least = settings.wall_votes * sum(c.size for c in votes.chosen)
     centres = np.stack([p.camera.centre_m for p in pictures])
@@ -110,17 +110,13 @@ def run(settings: Settings, model: Path, plates: list[Path], sweeps: list[Path],
     swept = read_sweeps(sweeps, len(cameras))
     pictures = equalise_exposure(read_pictures(cameras, plates, settings.sweep_width), swept.gains)
     fitted = fit_room_box(pictures, swept.votes, swept.yaw_rad, swept.floor_m, settings)
-    raised = fit_platform(pictures, fitted.axes, float(fitted.low_m[2]), _matching(settings))
+    raised = fit_platform(pictures, fitted.axes, float(fitted.low_m[2]), settings)
     if raised is not None:
         fitted = _on_lower_floor(fitted, raised, pictures, settings)
     fitted, _ = complete_room(fitted, pictures, cameras, plates, swept, np.zeros((0, 2)), settings.far_m)
     for name, face, is_fitted, score in zip(FACES, fitted.faces, fitted.fitted, fitted.score):
         say(f"{name} at {face[3]:.3f} m (correlation {score:.2f})" if is_fitted else f"{name}: no photos match there")
     write_room(box, replace(fitted, gains={c.name: g for c, g in zip(cameras, swept.gains)}))
-
-
-def _matching(settings: Settings) -> room.Matching:
-    return room.Matching(settings.window, settings.mean_weight, settings.near_m, settings.far_m)
 
 
 def _on_lower_floor(box: RoomBox, raised: RaisedFloor, pictures: list[Picture], settings: Settings) -> RoomBox:

@@ -4,7 +4,6 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
 from functools import cache
 from operator import itemgetter
 from typing import TYPE_CHECKING
@@ -14,6 +13,7 @@ import numpy as np
 from studiorecon.depth.layout.votes import Votes
 from studiorecon.depth.stereo.matching import UNKNOWN
 from studiorecon.depth.stereo.plates import Picture, best_score
+from studiorecon.depth.sweep_settings import Matching
 from studiorecon.scene.room import RoomBox
 
 if TYPE_CHECKING:
@@ -28,16 +28,6 @@ _RIVAL_SHARE, _MAX_RIVALS = 0.2, 6
 _WIDE_SHARE = 20
 # Score that is as likely on a wrong surface as on the right one, and the score below which lower ones say no more.
 _EVEN_SCORE, _LEAST_SCORE = 0.32, -0.2
-
-
-@dataclass(frozen=True)
-class Matching:
-    """How planes are compared: window in pixels, weight of the mean difference, depth range in metres."""
-
-    window: int
-    mean_weight: float
-    near_m: float
-    far_m: float
 
 
 def plane_support(

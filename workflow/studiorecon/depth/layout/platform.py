@@ -18,8 +18,8 @@ from typing import TYPE_CHECKING
 import cv2
 import numpy as np
 
-from studiorecon.depth.layout.box import Matching
 from studiorecon.depth.stereo.plates import UNKNOWN, Picture
+from studiorecon.depth.sweep_settings import Matching
 from studiorecon.scene.room import Platform
 
 if TYPE_CHECKING:
