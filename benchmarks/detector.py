@@ -11,6 +11,7 @@ from __future__ import annotations
 
 import argparse
 import json
+import os
 import re
 import subprocess
 import sys
@@ -36,7 +37,7 @@ from studiorecon.scene.raw_detections import read_raw_detections
 from tests.defaults import loaded
 
 ROOT = Path(__file__).resolve().parents[1]
-DATA = ROOT.parent / "shared" / "data"
+DATA = Path(os.environ.get("STUDIORECON_REAL_DATA", ROOT.parent / "shared/data")).resolve()
 RESULTS = Path(__file__).parent / "results" / "detector.json"
 FILES = {"blazepose": "pose_landmark_full.onnx", "blazepose_heavy": "pose_landmark_heavy.onnx"}
 # Left, top, right, bottom of the three people in each picture of egohumans, read by hand off pictures 728 pixels wide.
