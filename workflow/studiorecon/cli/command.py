@@ -13,7 +13,6 @@ import subprocess
 import sys
 import webbrowser
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from contextlib import suppress
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -245,14 +244,17 @@ def _capture(folder: Path) -> str:
 
 
 def _snakemake(target: str, dataset: str, options: argparse.Namespace, meanwhile: Iterable[str] = ()) -> int:
-    """Snakemake's exit status; the sentences ``meanwhile`` are printed while it starts."""
+    """Snakemake's exit status; the sentences ``meanwhile`` are printed while it starts, and what they refuse ends it."""
     budget = getattr(options, "budget", None)
     command = snakemake_command(target, dataset, options.cores, getattr(options, "preset", None), options.rest)
     command += [] if budget is None else [f"budget_min={budget:g}"]
     with subprocess.Popen(command, env=environment()) as process:
-        with suppress(UserError):  # Snakemake refuses the capture in the same words
+        try:
             for sentence in meanwhile:
                 print(sentence, flush=True)
+        except UserError:
+            process.terminate()
+            raise
         while True:
             try:
                 status = process.wait()
