@@ -244,7 +244,7 @@ def _capture(folder: Path) -> str:
 
 
 def _snakemake(target: str, dataset: str, options: argparse.Namespace, meanwhile: Iterable[str] = ()) -> int:
-    """Snakemake's exit status; the sentences ``meanwhile`` are printed while it starts, and what they refuse ends it."""
+    """Snakemake's exit status; the sentences ``meanwhile`` are printed while it starts, and a refusal there ends it."""
     budget = getattr(options, "budget", None)
     command = snakemake_command(target, dataset, options.cores, getattr(options, "preset", None), options.rest)
     command += [] if budget is None else [f"budget_min={budget:g}"]
