@@ -156,7 +156,7 @@ def choose_faces(
         normal = bare.axes[face // 2]
         return place_plane(pictures, votes.voters(normal, offset, 0.1), normal, offset, 0.06, 0.02, how)[0]
 
-    tried = {face: [refined(face, offset) for offset in near] for face, near in offsets.items() if near}
+    tried = {f: [refined(f, o) for o in near] if len(near) > 1 else near for f, near in offsets.items() if near}
     placed, before = {face: near[0] for face, near in tried.items()}, np.inf
     least = total(placed)
     while least < before:
@@ -192,4 +192,9 @@ def refine_yaw(
                 pictures, pixels, np.array([*turned, offset_of_turned_plane(pictures, pixels, plane, turned, how)]), how
             )
             value[k] += mean * count
-    return float(turns[int(value.argmax())]) if value.any() else 0.0
+    best = int(value.argmax())
+    if best in (0, len(turns) - 1):
+        return float(turns[best]) if value.any() else 0.0
+    # The vertex of the parabola through the best turn and its neighbours: a step of 0.1° is 7 mm at 4 m.
+    before, at, after = value[best - 1 : best + 2]
+    return float(turns[best] + 0.5 * step_rad * (before - after) / (before - 2 * at + after))
