@@ -14,7 +14,7 @@ from studiorecon.configuration.settings import load
 from studiorecon.depth import box as walls
 from studiorecon.depth import given, refine, sweep
 from studiorecon.depth import room as room_box
-from studiorecon.depth.layout.box import choose_faces, most_voted_offsets
+from studiorecon.depth.layout.box import choose_faces, most_voted_offsets, refine_yaw
 from studiorecon.depth.layout.primitives import read_primitives
 from studiorecon.depth.layout.votes import Votes, read_sweeps
 from studiorecon.depth.layout.yaw import match_yaw
@@ -173,6 +173,18 @@ def test_yaw_of_the_walls_is_found_with_and_without_lines() -> None:
         if not lines:
             yaw_rad = match_yaw(pictures, 0.0, 6.0, 0.3, 14.0)
         assert abs((np.degrees(yaw_rad - 0.35) + 45) % 90 - 45) < tolerance_deg
+
+
+def test_walls_are_turned_by_less_than_a_step(default_settings: Callable[..., dict]) -> None:
+    room = made_room(table=False)
+    pictures = [Picture(c, photograph(room, c)[0], np.ones(c.hw, bool)) for c in ring()]
+    off_rad = np.radians(0.35)
+    turned = replace(room.room_box, yaw_rad=room.room_box.yaw_rad - off_rad)
+    seen = [room.room_box.intersect(*p.camera.rays())[1] for p in pictures]
+    on_walls = [(turned.faces[face], [at == face for at in seen]) for face in range(4)]
+    how = load(walls.Settings, default_settings("depth", **THIN), "depth")
+    found_rad = refine_yaw(pictures, on_walls, 4 * off_rad, 2 * off_rad, how)
+    assert np.degrees(abs(found_rad - off_rad)) < 0.15, "a step is 0.7 degrees"
 
 
 def test_rival_walls_are_decided_by_what_the_window_holds() -> None:

@@ -143,8 +143,8 @@ def test_more_is_searched_while_offsets_are_unknown(
         return choose.Evidence([link] if motion_tells else [], {"motion": {}})
 
     monkeypatch.setattr(choose, "people_lags", lags)
-    question = choose.Question(filmed, lambda _: [Clocks(10.0, 0.0, 600, filmed)], motion, True, 5.0, False)
-    done, _ = question.answered(films, choose.Evidence([], {}), 1)
+    search = choose.OffsetSearch(filmed, lambda _: [Clocks(10.0, 0.0, 600, filmed)], motion, True, 5.0, False)
+    done, _ = search.run(films, choose.Evidence([], {}), 1)
     assert sum(count for _, count in done[0].found.looked) == 10 * seconds
     assert done[0].found.looked == done[1].found.looked
     assert len(compared) == (needed_s > 5)

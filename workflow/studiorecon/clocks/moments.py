@@ -128,14 +128,14 @@ def chosen_stretches(
 
 
 @dataclass(frozen=True)
-class Question:
-    """Which offsets are asked for, and what they are estimated from.
+class OffsetSearch:
+    """The search of films for people, until all offsets are determined.
 
     Attributes:
         filmed: the clocks as filmed.
         place: the likely clocks by lags.
         compare_motion: the evidence with motion, given people's lags.
-        asks_people: people may tell the offsets.
+        uses_people: people give offsets that sound does not.
         first_s: seconds of the first stretch; inf: the whole films.
         part: only a part of the films is used.
     """
@@ -143,13 +143,13 @@ class Question:
     filmed: Sequence[Clock]
     place: Callable[[Sequence[Lag]], list[Clocks]]
     compare_motion: Callable[[Evidence, Sequence[Lag]], Evidence]
-    asks_people: bool
+    uses_people: bool
     first_s: float
     part: bool
 
-    def answered(self, searches: dict[str, Search], signals: Evidence, threads: int) -> tuple[list[Search], Evidence]:
-        """The ``searches`` and the evidence when every offset and people in every searched film are known, or more of
-        the films would not tell them."""
+    def run(self, searches: dict[str, Search], signals: Evidence, threads: int) -> tuple[list[Search], Evidence]:
+        """The ``searches`` and the evidence once every offset is determined and every searched film shows people, or
+        once more of the films would add neither."""
         first_s, upto, people = self.first_s, _MIN_STRETCHES, list[Lag]()
         rate = float(np.median([clock.fps for clock in self.filmed]))
         with ThreadPoolExecutor(threads) as pool:
@@ -159,7 +159,7 @@ class Question:
                 done = pool.map(lambda one, wanted: one.beyond(wanted), searches.values(), parts)
                 searches = dict(zip(searches, progress(done, "cameras searched for people", len(searches))))
                 unknown = []
-                if self.asks_people:
+                if self.uses_people:
                     seen = [one.tracked() for one in searches.values() if len(one.found.frame)]
                     people, _ = people_lags(seen, self.filmed, rate)
                     unknown = unlinked([*signals.lags, *people], len(self.filmed))
@@ -213,18 +213,18 @@ def run(
         return with_motion(before, films, lines, people, threads)
 
     wanted, signals = settings.sync != "never" and len(cameras) > 1, Evidence([], {})
-    asks_people = wanted and bool(searched) and not given and not part
+    uses_people = wanted and bool(searched) and not given and not part
     if wanted:
         signals = sound_evidence(films, lines, sources)
-        if not asks_people and unlinked(signals.lags, len(cameras)):
+        if not uses_people and unlinked(signals.lags, len(cameras)):
             signals = compare_motion(signals, [])
-    first_s = _FIRST_S if asks_people and unlinked(signals.lags, len(cameras)) else _STRETCH_S
+    first_s = _FIRST_S if uses_people and unlinked(signals.lags, len(cameras)) else _STRETCH_S
     if whole or all(clock.own_s[-1] <= _WHOLE * (first_s + 2 * _STRETCH_S) for clock in filmed):
         first_s = math.inf
-    question = Question(filmed, place, compare_motion, asks_people, first_s, part)
+    search = OffsetSearch(filmed, place, compare_motion, uses_people, first_s, part)
     network, worth = (detector.detector(), detector.worth()) if searched else (None, {})
     searches = {c: Search.of(c, film, network, worth) for c, film in zip(cameras, films) if c in searched}
-    done, signals = question.answered(searches, signals, threads) if searches else ([], signals)
+    done, signals = search.run(searches, signals, threads) if searches else ([], signals)
     write_lags(lags, signals.lags, signals.without)
     for one, path in zip(done, found, strict=True):
         write_raw_detections(path, one.found)

@@ -17,7 +17,8 @@ from studiorecon.progress import say, warn
 from studiorecon.scene.people import Detections
 from studiorecon.scene.raw_detections import RawDetections
 
-# Calibrations are judged on so many moments of people. Keypoints' errors last so long: frames within it are one moment.
+# Moments of people on which calibrations are judged (``calibration.people_evidence.FRAMES``), and seconds that a
+# keypoint's error lasts: frames within them are one moment.
 _ENOUGH, _MOMENT_S = 24, 0.2
 
 

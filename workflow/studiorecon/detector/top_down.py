@@ -18,6 +18,7 @@ import numpy as np
 
 from studiorecon.detector.crops import Region, sample_region
 from studiorecon.errors import UserError
+from studiorecon.geometry.statistics import peak_position
 from studiorecon.keypoints.layouts import BY_COUNT, LAYOUTS, USUAL
 
 if TYPE_CHECKING:
@@ -139,9 +140,9 @@ def points_from_heat_maps(heat: Num[np.ndarray, "K H W"], wh: tuple[int, int]) -
         logs = np.log(np.maximum(heat, 1e-10))
     for k, (x, y) in enumerate(place.astype(int)):
         if 0 < x < columns - 1:
-            place[k, 0] += _peak(logs[k, y, x - 1 : x + 2])
+            place[k, 0] += peak_position(logs[k, y, x - 1 : x + 2])
         if 0 < y < rows - 1:
-            place[k, 1] += _peak(logs[k, y - 1 : y + 2, x])
+            place[k, 1] += peak_position(logs[k, y - 1 : y + 2, x])
     cells = np.array([columns, rows])
     return np.column_stack([place * (np.array(wh) - 1) / np.maximum(cells - 1, 1) + 0.5, score])
 
@@ -152,9 +153,3 @@ def points_from_simcc(
     """Crop pixels and scores of SimCC's two rows of scores, whose bins split every pixel alike."""
     place = np.column_stack([columns.argmax(1) * (wh[0] / columns.shape[1]), rows.argmax(1) * (wh[1] / rows.shape[1])])
     return np.column_stack([place + 0.5, np.minimum(columns.max(1), rows.max(1))])
-
-
-def _peak(three: np.ndarray) -> float:
-    """Position of the peak of the parabola through three values, in steps from the middle one, which is the largest."""
-    bend = three[0] - 2 * three[1] + three[2]
-    return float(0.5 * (three[0] - three[2]) / bend) if bend < 0 else 0.0

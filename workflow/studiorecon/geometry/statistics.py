@@ -75,3 +75,10 @@ def largest_estimate(
     low, high = size[known] - _WORST * error[known], size[known] + _WORST * error[known]
     which = int(known[low.argmax() if low.max() > 0 else size[known].argmax()])
     return Estimate(float(size[which]), (float(max(low.max(), 0.0)), float(high.max())), which)
+
+
+def peak_position(three: Num[np.ndarray, " 3"]) -> float:
+    """Where the parabola through three neighbouring values is highest, in steps from the middle one, the largest."""
+    before, at, after = (float(x) for x in three)
+    bend = before - 2 * at + after
+    return 0.5 * (before - after) / bend if bend < 0 else 0.0

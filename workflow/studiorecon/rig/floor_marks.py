@@ -20,6 +20,7 @@ import numpy as np
 import scipy
 
 from studiorecon.arrays import require
+from studiorecon.geometry.statistics import peak_position
 from studiorecon.geometry.triangulation import Limits, triangulate, unit_px
 from studiorecon.images.channels import channel_sum
 from studiorecon.rig.room_picture import RoomPicture
@@ -337,17 +338,10 @@ def _match_back(
         rest[_disc(similarity.shape, top, left, beside)] = -1
         if rest.max() > _SECOND * best:
             continue
-        down = _vertex(similarity[top - 1 : top + 2, left])
-        across = _vertex(similarity[top, left - 1 : left + 2])
+        down = peak_position(similarity[top - 1 : top + 2, left])
+        across = peak_position(similarity[top, left - 1 : left + 2])
         found[k] = column + left - reach + across, row + top - reach + down
     return found
-
-
-def _vertex(three: np.ndarray) -> float:
-    """Position of the maximum of the parabola through three neighbours, from the middle one."""
-    before, at, after = (float(x) for x in three)
-    bend = before - 2 * at + after
-    return 0.5 * (before - after) / bend if bend < 0 else 0.0
 
 
 def _one_homography(here: np.ndarray, there: np.ndarray, place_m: float) -> np.ndarray:

@@ -14,6 +14,7 @@ from studiorecon.depth.layout.votes import Votes
 from studiorecon.depth.stereo.matching import UNKNOWN
 from studiorecon.depth.stereo.plates import Picture, best_score
 from studiorecon.depth.sweep_settings import Matching
+from studiorecon.geometry.statistics import peak_position
 from studiorecon.scene.room import RoomBox
 
 if TYPE_CHECKING:
@@ -68,11 +69,7 @@ def place_plane(
         return offset, float("nan")
     value = np.array([mean * np.sqrt(count / most) for mean, count in support])
     best = int(value.argmax())
-    shift = 0.0
-    if 0 < best < len(value) - 1:
-        before, at, after = value[best - 1 : best + 2]
-        bend = before - 2 * at + after
-        shift = 0.5 * (before - after) / bend if bend < 0 else 0.0
+    shift = peak_position(value[best - 1 : best + 2]) if 0 < best < len(value) - 1 else 0.0
     return float(tried[best] + shift * step_m), float(support[best][0])
 
 
@@ -192,9 +189,9 @@ def refine_yaw(
                 pictures, pixels, np.array([*turned, offset_of_turned_plane(pictures, pixels, plane, turned, how)]), how
             )
             value[k] += mean * count
+    if not value.any():
+        return 0.0
     best = int(value.argmax())
-    if best in (0, len(turns) - 1):
-        return float(turns[best]) if value.any() else 0.0
-    # The vertex of the parabola through the best turn and its neighbours: a step of 0.1° is 7 mm at 4 m.
-    before, at, after = value[best - 1 : best + 2]
-    return float(turns[best] + 0.5 * step_rad * (before - after) / (before - 2 * at + after))
+    # A step of 0.1° is 7 mm at 4 m.
+    shift = peak_position(value[best - 1 : best + 2]) if 0 < best < len(value) - 1 else 0.0
+    return float(turns[best] + shift * step_rad)

@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from studiorecon.geometry.rotations import cross_matrix
+from studiorecon.geometry.relative_pose import essential_matrix
 from studiorecon.scene.camera import Camera
 
 if TYPE_CHECKING:
@@ -130,7 +130,7 @@ def _usual_length(places: np.ndarray) -> float:
 def _on_rays(pixels: np.ndarray, a: int, b: int, cameras: Sequence[Camera]) -> np.ndarray:
     """(T, 2, 2) mean distance in ``b``'s pixels of its hands' points from the rays of ``a``'s; NaN where not seen."""
     relative = cameras[b].camera_from_world @ np.linalg.inv(cameras[a].camera_from_world)
-    essential = cross_matrix(relative[:3, 3]) @ relative[:3, :3]
+    essential = essential_matrix(relative[:3, :3], relative[:3, 3])
     fundamental = np.linalg.inv(cameras[b].intrinsics).T @ essential @ np.linalg.inv(cameras[a].intrinsics)
     lines = np.concatenate([pixels[a], np.ones_like(pixels[a][..., :1])], -1) @ fundamental.T
     points = np.concatenate([pixels[b], np.ones_like(pixels[b][..., :1])], -1)
