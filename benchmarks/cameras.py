@@ -177,8 +177,9 @@ def real_doctor(data: Path, take: str, out: Path) -> tuple[dict[str, Any], list[
             sightings.run(loaded(tracks_keypoints.Settings), c, [dataset.keypoints[c]], *about, 60.0, pixel_map, *found)
         footage, seen = [dataset.footage[c] for c in MAN], [out / f"{c}.npz" for c in MAN]
         lags, written = out / "lags.json", (out / "clocks.json", out / "sync.json")
-        moments.run(loaded(clocks.Settings), list(MAN), footage, "{}", 0, 0, 0, lags, *UNSEARCHED)
-        clocks.run(loaded(clocks.Settings), list(MAN), footage, seen, lags, "{}", 0, 0, *written)
+        filmed = clocks.Take(list(MAN), footage)
+        moments.run(loaded(clocks.Settings), filmed, 0, lags, *UNSEARCHED)
+        clocks.run(loaded(clocks.Settings), filmed, seen, lags, *written)
         doctor.run(
             loaded(doctor.Settings),
             take,

@@ -88,8 +88,9 @@ def estimate(
 ) -> None:
     """Write clocks and findings ``out`` of ``films``, both steps one after the other."""
     lags = out[0].with_name("lags.json")
-    moments.run(settings, cameras, films, "{}", 0, 0, 0, lags, *UNSEARCHED)
-    clocks.run(settings, cameras, films, seen, lags, "{}", 0, 0, *out)
+    take = clocks.Take(cameras, films)
+    moments.run(settings, take, 0, lags, *UNSEARCHED)
+    clocks.run(settings, take, seen, lags, *out)
 
 
 def sound_case(kind: str, seconds: float, recorders: list[Recorder]) -> dict[str, Any]:

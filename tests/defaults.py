@@ -17,7 +17,7 @@ from studiorecon.configuration.step_settings import find_section
 from studiorecon.detector.network_files import DetectorFiles
 
 ROOT = Path(__file__).parents[1]
-UNSEARCHED: Any = ([], DetectorFiles([]), 1, [])
+UNSEARCHED: Any = ([], DetectorFiles([]), [])
 """The last arguments of ``clocks.moments`` where the detector searches no film."""
 
 

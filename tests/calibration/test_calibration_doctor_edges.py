@@ -174,8 +174,9 @@ def test_of_a_real_man_s_two_calibrations_edges_contradict_the_hand_picked_one(
     seen = [out / f"{c}.npz" for c in names]
     clocks = out / "clocks.json", out / "sync.json"
     lags = out / "lags.json"
-    moments.run(loaded(offsets.Settings), names, footage, "{}", 0, 0, 0, lags, *UNSEARCHED)
-    offsets.run(loaded(offsets.Settings), names, footage, seen, lags, "{}", 0, 0, *clocks)
+    take = offsets.Take(names, footage)
+    moments.run(loaded(offsets.Settings), take, 0, lags, *UNSEARCHED)
+    offsets.run(loaded(offsets.Settings), take, seen, lags, *clocks)
     sizes, written = [out / f"{c}.json" for c in names], (out / "doctor.json", out / "doctor.html")
     doctor.run(loaded(doctor.Settings), "single", calibrated, names, footage, seen, sizes, *clocks, *written)
     report = json.loads(written[0].read_text())

@@ -103,20 +103,13 @@ def examine(default_settings: Callable[..., dict[str, Any]]) -> Callable[..., di
             files = out / f"{c}.npz", out / f"{c}.recorded.npz", out / f"{c}.json", [], []
             about = data.keypoint_layout, str(data.keypoint_first_frame.get(c, "auto")), data.footage[c]
             sightings.run(people, c, [path], *about, 30.0, "[]", *files)
-        films = list(data.cameras), [data.footage[c] for c in data.cameras]
-        part = json.dumps(dict(data.starts)), data.first_frame, data.frame_count
+        sources = [data.footage[c] for c in data.cameras]
+        starts = json.dumps(dict(data.starts))
+        films = clocks.Take(list(data.cameras), sources, starts, data.first_frame, data.frame_count)
         clock = settings_module.load(clocks.Settings, default_settings("clocks"), "clocks")
-        moments.run(clock, *films, *part, 0, out / "lags.json", *UNSEARCHED)
-        clocks.run(
-            clock,
-            *films,
-            [out / f"{c}.npz" for c in data.keypoints],
-            out / "lags.json",
-            *part,
-            out / "clocks.json",
-            out / "sync.json",
-            [out / "calibration.json"],
-        )
+        moments.run(clock, films, 0, out / "lags.json", *UNSEARCHED)
+        seen, written = [out / f"{c}.npz" for c in data.keypoints], (out / "clocks.json", out / "sync.json")
+        clocks.run(clock, films, seen, out / "lags.json", *written, [out / "calibration.json"])
         doctor.run(
             settings_module.load(doctor.Settings, section, "cameras"),
             "trap",

@@ -59,20 +59,10 @@ def find(default_settings: Callable[..., dict[str, Any]], tmp_path: Path) -> Cal
         for d in seen:
             write_detections(tmp_path / f"{d.camera}.npz", d)
         settings = load(clocks_step.Settings, default_settings("clocks", sync=sync), "clocks")
-        cameras, lags = [r.name for r in recorders], tmp_path / "lags.json"
-        moments_step.run(settings, cameras, paths, starts, 0, count, 0, lags, *UNSEARCHED)
-        clocks_step.run(
-            settings,
-            cameras,
-            paths,
-            [tmp_path / f"{d.camera}.npz" for d in seen],
-            lags,
-            starts,
-            0,
-            count,
-            tmp_path / "clocks.json",
-            tmp_path / "sync.json",
-        )
+        take, lags = clocks_step.Take([r.name for r in recorders], paths, starts, 0, count), tmp_path / "lags.json"
+        moments_step.run(settings, take, 0, lags, *UNSEARCHED)
+        sightings, written = [tmp_path / f"{d.camera}.npz" for d in seen], ("clocks.json", "sync.json")
+        clocks_step.run(settings, take, sightings, lags, *(tmp_path / name for name in written))
         looked = [] if sync == "never" else [r.name for r in recorders]
         assert [f.camera for f in read_clock_findings(tmp_path / "sync.json")[0]] == looked
         return read_clocks(tmp_path / "clocks.json"), {

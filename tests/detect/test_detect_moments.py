@@ -74,8 +74,8 @@ def test_every_frame_is_looked_at_once_and_what_is_known_is_kept(
     monkeypatch.setattr(FilmDetector, "rows", rows)
     monkeypatch.setattr(FilmDetector, "turned", lambda self, _: self)
     known, found, files = tmp_path / "known.npz", tmp_path / "found.npz", cast("DetectorFiles", Networks())
-    asked = choose.Settings(sync="never"), ["a", "b"], [film, film], "{}", 0, 0, 0, tmp_path / "lags.json"
-    choose.run(*asked, ["a"], files, 1, [known])
+    take = choose.Take(["a", "b"], [film, film])
+    choose.run(choose.Settings(sync="never"), take, 0, tmp_path / "lags.json", ["a"], files, [known])
     few = len(searched)
     assert (few < FRAMES / 3) == (shown == 1.0), "more where fewer moments show somebody"
     people.run("a", film, [known], [], 30.0, files, found)
@@ -111,6 +111,7 @@ class Shown:
         self.found = SimpleNamespace(frame=np.zeros(moments), looked=looked)
 
     def beyond(self, parts: Sequence[tuple[int, int]]) -> Shown:
+        """The same after the stretches ``parts`` are searched too."""
         new = [one for part in parts for one in unseen(self.looked, *part)]
         return Shown(self.camera, self.moments, [*self.looked, *new])
 
@@ -138,13 +139,18 @@ def test_more_is_searched_while_offsets_are_unknown(
     def lags(seen: Sequence[float], *_: Any) -> tuple[list[choose.Lag], dict[int, str]]:
         return [link] if min(seen) >= needed_s else [], {}
 
-    def motion(before: choose.Evidence, people: Sequence[choose.Lag]) -> choose.Evidence:
+    def searched(shown: dict[str, Shown], parts: dict[str, list[tuple[int, int]]]) -> dict[str, Shown]:
+        return {camera: one.beyond(parts[camera]) for camera, one in shown.items()}
+
+    def motion(*_: Any) -> choose.Evidence:
         compared.append(1)
         return choose.Evidence([link] if motion_tells else [], {"motion": {}})
 
     monkeypatch.setattr(choose, "people_lags", lags)
-    search = choose.OffsetSearch(filmed, lambda _: [Clocks(10.0, 0.0, 600, filmed)], motion, True, 5.0, False)
-    done, _ = search.run(films, choose.Evidence([], {}), 1)
+    monkeypatch.setattr(choose, "search_on", searched)
+    monkeypatch.setattr(choose.OffsetSearch, "with_motion", motion)
+    search = choose.OffsetSearch(choose.Take(["a", "b"], []), [], [], filmed, uses_people=True, first_s=5.0)
+    done, _ = search.run(films, choose.Evidence([], {}))
     assert sum(count for _, count in done[0].found.looked) == 10 * seconds
     assert done[0].found.looked == done[1].found.looked
     assert len(compared) == (needed_s > 5)

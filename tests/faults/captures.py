@@ -114,12 +114,9 @@ def _steps(data: Dataset, work: Path) -> tuple[dict[str, np.ndarray], list[str]]
         loaded(choose.Settings), work / "read.json", cameras, films, sightings, pixel_maps, 30.0, list(told_by),
         calibration,
     )  # fmt: skip
-    lags, part = work / "lags.json", (json.dumps(dict(data.starts)), data.first_frame, data.frame_count)
-    moments.run(loaded(offsets.Settings), cameras, films, *part, 0, lags, *UNSEARCHED)
-    offsets.run(
-        loaded(offsets.Settings), cameras, films, sightings, lags, json.dumps(dict(data.starts)), data.first_frame,
-        data.frame_count, clocks, sync, [calibration],
-    )  # fmt: skip
+    take = offsets.Take(cameras, films, json.dumps(dict(data.starts)), data.first_frame, data.frame_count)
+    moments.run(loaded(offsets.Settings), take, 0, work / "lags.json", *UNSEARCHED)
+    offsets.run(loaded(offsets.Settings), take, sightings, work / "lags.json", clocks, sync, [calibration])
     common = read_clocks(clocks)
     if common.refusal:
         raise UserError(common.refusal)

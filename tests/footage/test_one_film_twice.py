@@ -56,7 +56,8 @@ def test_copies_and_links_stop_before_anything_runs(tmp_path: Path, how: str) ->
 def test_the_same_pictures_in_another_file_await_the_footage(tmp_path: Path, first: int, crf: int) -> None:
     sources = [film(tmp_path / "a.mp4", 0), film(tmp_path / "b.mp4", 0, first, crf), film(tmp_path / "c.mp4", 1)]
     lags, clocks, findings = (tmp_path / f"{name}.json" for name in ("lags", "clocks", "sync"))
-    offsets.run(offsets.Settings(sync="never"), ["a", "b", "c"], sources, [], lags, "{}", 0, 0, clocks, findings)
+    take = offsets.Take(["a", "b", "c"], sources)
+    offsets.run(offsets.Settings(sync="never"), take, [], lags, clocks, findings)
     assert read_clocks(clocks).refusal.startswith("cameras a and b show the same picture: both have one film")
 
 

@@ -169,3 +169,9 @@ def test_a_folder_called_as_an_option_is_a_folder(tmp_path: Path, monkeypatch: p
     def run(film: Path) -> None: ...
 
     assert steps._parse("clocks.moments", run, ["--film", "-rf/videos"])["film"] == Path("-rf/videos")
+
+
+def test_numpy_is_loaded_after_its_threads_are_chosen() -> None:
+    """It reads once how many threads it may use; until a step sets them, the package must not load it."""
+    asked = "import sys, studiorecon.__main__; sys.exit('numpy' in sys.modules)"
+    assert subprocess.run([sys.executable, "-c", asked], check=False).returncode == 0

@@ -53,7 +53,7 @@ rule clocks_offsets:
         "timings/{scene}/clocks/offsets.tsv"
     container:
         image("core")
-    threads: 1
+    threads: len(PLAN.cameras)
     resources:
         mem_mb=memory(1000),
     params:

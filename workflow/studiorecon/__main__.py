@@ -33,7 +33,6 @@ from studiorecon.machine.output import unbroken_output
 from studiorecon.machine.resource_errors import describe_resource_error, memory_note
 from studiorecon.models.catalogue.sandbox import confine_process
 from studiorecon.progress import LOGGER, fail, log_to, warn
-from studiorecon.scene.files import remove_remains
 from studiorecon.scene.names import as_paths
 from studiorecon.signature import Written
 
@@ -120,6 +119,9 @@ def _run(module: types.ModuleType, step: str, options: dict, log: Path | None) -
             options["settings"] = settings_module.load(settings_type, values, step.split(".")[0])
         for changed in changed_files(step_paths(module.run, options, Path)):
             warn(changed)
+        # Imported late: numpy, which it loads, reads once how many threads it may use.
+        from studiorecon.scene.files import remove_remains
+
         outputs = list(step_paths(module.run, options, Written))
         for path in outputs:
             remove_remains(path)

@@ -8,26 +8,24 @@ stretch is doubled; while a camera has shown people too seldom, more stretches f
 
 from __future__ import annotations
 
-import json
 import math
-from collections.abc import Callable, Sequence
-from concurrent.futures import ThreadPoolExecutor
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from itertools import islice
-from pathlib import Path
 
 import numpy as np
 
 from studiorecon.clocks import motion, sound
 from studiorecon.clocks.offsets import Settings as Settings
-from studiorecon.clocks.offsets import applied_clock, open_films
+from studiorecon.clocks.offsets import Take, applied_clock, open_films
 from studiorecon.clocks.people import people_lags
 from studiorecon.clocks.posterior import MAX_HALF_S, Lag, choose_reference, estimate_offsets, write_lags
 from studiorecon.clocks.timeline import Timeline, clock_as_filmed, common_moments
-from studiorecon.detector.film_search import Search
+from studiorecon.detector.film_search import Search, search_on
 from studiorecon.detector.network_files import DetectorFiles
 from studiorecon.footage.sound_track import read_sound
 from studiorecon.footage.source import FootageSource
+from studiorecon.machine.threads import in_threads
 from studiorecon.progress import progress
 from studiorecon.scene.clocks import Clock, Clocks
 from studiorecon.scene.raw_detections import write_raw_detections
@@ -57,37 +55,6 @@ class Evidence:
 
     lags: list[Lag]
     without: dict[str, dict[int, str]]
-
-
-def sound_evidence(films: Sequence[FootageSource | None], lines: Sequence[Timeline], paths: Sequence[Path]) -> Evidence:
-    """The lags by sound."""
-    heard, why = sound.sound_lags([read_sound(p) if film else None for p, film in zip(paths, films)], lines)
-    return Evidence(heard, {"sound": why})
-
-
-def with_motion(
-    before: Evidence,
-    films: Sequence[FootageSource | None],
-    lines: Sequence[Timeline],
-    people: Sequence[Lag],
-    threads: int,
-) -> Evidence:
-    """The evidence with lags by motion, from as much of the films as links all cameras with ``people``'s help."""
-    clocks = [clock_as_filmed("", line) for line in lines]
-    rate = float(np.median([clock.fps for clock in clocks]))
-    unread = [motion.read_motion_energy(film, max(_MOTION_S)) if film else iter(()) for film in films]
-    energies = [np.zeros(0) for _ in films]
-    with ThreadPoolExecutor(threads) as pool:
-        for seconds in _MOTION_S:
-            more = [max(round(seconds * line.fps) - 1 - len(own), 0) for line, own in zip(lines, energies)]
-            read = progress(pool.map(lambda own, n: list(islice(own, n)), unread, more), "motion", len(films))
-            energies = [np.append(own, new) for own, new in zip(energies, read)]
-            moved, still = motion.motion_lags(energies, clocks, rate)
-            with_it = Evidence([*before.lags, *moved], {**before.without, "motion": still})
-            compared = all(line.frames <= seconds * line.fps for line in lines)
-            if compared or not unlinked([*with_it.lags, *people], len(films)):
-                break
-    return with_it
 
 
 def unlinked(lags: Sequence[Lag], cameras: int) -> list[int]:
@@ -129,102 +96,114 @@ def chosen_stretches(
 
 @dataclass(frozen=True)
 class OffsetSearch:
-    """The search of films for people, until all offsets are determined.
+    """The search of a take's films for people, until all offsets are determined.
 
     Attributes:
-        filmed: the clocks as filmed.
-        place: the likely clocks by lags.
-        compare_motion: the evidence with motion, given people's lags.
+        films, lines, filmed: of every camera: its footage, None where it cannot be read, with its times, and its clock
+            as filmed.
         uses_people: people give offsets that sound does not.
         first_s: seconds of the first stretch; inf: the whole films.
-        part: only a part of the films is used.
     """
 
+    take: Take
+    films: Sequence[FootageSource | None]
+    lines: Sequence[Timeline]
     filmed: Sequence[Clock]
-    place: Callable[[Sequence[Lag]], list[Clocks]]
-    compare_motion: Callable[[Evidence, Sequence[Lag]], Evidence]
-    uses_people: bool
-    first_s: float
-    part: bool
+    uses_people: bool = False
+    first_s: float = math.inf
 
-    def run(self, searches: dict[str, Search], signals: Evidence, threads: int) -> tuple[list[Search], Evidence]:
-        """The ``searches`` and the evidence once every offset is determined and every searched film shows people, or
-        once more of the films would add neither."""
-        first_s, upto, people = self.first_s, _MIN_STRETCHES, list[Lag]()
-        rate = float(np.median([clock.fps for clock in self.filmed]))
-        with ThreadPoolExecutor(threads) as pool:
-            while True:
-                chosen = chosen_stretches(self.place([*signals.lags, *people]), self.filmed, first_s, self.part)
-                parts = [[(first, n) for number, first, n in chosen[c] if number < upto] for c in searches]
-                done = pool.map(lambda one, wanted: one.beyond(wanted), searches.values(), parts)
-                searches = dict(zip(searches, progress(done, "cameras searched for people", len(searches))))
-                unknown = []
-                if self.uses_people:
-                    seen = [one.tracked() for one in searches.values() if len(one.found.frame)]
-                    people, _ = people_lags(seen, self.filmed, rate)
-                    unknown = unlinked([*signals.lags, *people], len(self.filmed))
-                shown = [c for c in unknown if (own := searches.get(self.filmed[c].camera)) and len(own.found.frame)]
-                if unknown and "motion" not in signals.without:
-                    signals = self.compare_motion(signals, people)
-                elif shown and first_s < _LONGEST_S:
-                    first_s *= 2
-                elif upto < len(next(iter(chosen.values()))) and any(one.shows_few() for one in searches.values()):
-                    upto += 1
-                else:
-                    return list(searches.values()), signals
+    @property
+    def rate(self) -> float:
+        """Frames per second of the median camera."""
+        return float(np.median([clock.fps for clock in self.filmed]))
 
+    def sound(self) -> Evidence:
+        """The lags by sound."""
+        tracks = [read_sound(p) if film else None for p, film in zip(self.take.sources, self.films)]
+        heard, why = sound.sound_lags(tracks, self.lines)
+        return Evidence(heard, {"sound": why})
 
-def run(
-    settings: Settings,
-    cameras: list[str],
-    sources: list[Path],
-    starts: str,
-    first_frame: int,
-    frame_count: int,
-    whole: int,
-    lags: Written,
-    searched: list[str],
-    detector: DetectorFiles,
-    threads: int,
-    found: list[Written],
-) -> None:
-    """Write ``lags`` (JSON) of the footage ``sources``, and who was ``found`` (npz) in moments of each ``searched``
-    camera's.
+    def with_motion(self, before: Evidence, people: Sequence[Lag]) -> Evidence:
+        """The evidence with lags by motion, from as much of the films as links all cameras with ``people``'s help."""
+        clocks = [clock_as_filmed("", line) for line in self.lines]
+        unread = [motion.read_motion_energy(film, max(_MOTION_S)) if film else iter(()) for film in self.films]
+        energies = [np.zeros(0) for _ in self.films]
+        for seconds in _MOTION_S:
+            more = [max(round(seconds * line.fps) - 1 - len(own), 0) for line, own in zip(self.lines, energies)]
+            read = progress(in_threads(lambda own, n: list(islice(own, n)), unread, more), "motion", len(more))
+            energies = [np.append(own, new) for own, new in zip(energies, read)]
+            moved, still = motion.motion_lags(energies, clocks, self.rate)
+            with_it = Evidence([*before.lags, *moved], {**before.without, "motion": still})
+            compared = all(line.frames <= seconds * line.fps for line in self.lines)
+            if compared or not unlinked([*with_it.lags, *people], len(self.films)):
+                break
+        return with_it
 
-    ``starts``, ``first_frame`` and ``frame_count`` as for ``clocks.offsets``. ``whole``: 1 to search whole films.
-    """
-    films, lines = open_films(sources, settings.picture_fps)
-    filmed = [clock_as_filmed(c, line) for c, line in zip(cameras, lines)]
-    rate, given, part = float(np.median([c.fps for c in filmed])), json.loads(starts), bool(first_frame or frame_count)
-
-    def place(known: Sequence[Lag]) -> list[Clocks]:
-        offsets = estimate_offsets(known, len(cameras), choose_reference(known, len(cameras)))
-        verdicts = [applied_clock(o, rate, clock.own_s[-1]) for o, clock in zip(offsets, filmed)]
+    def likely(self, known: Sequence[Lag]) -> list[Clocks]:
+        """The clocks by the ``known`` lags; and as filmed, where these may be wrong."""
+        filmed, given = self.filmed, self.take.starts_frames
+        offsets = estimate_offsets(known, len(filmed), choose_reference(known, len(filmed)))
+        verdicts = [applied_clock(o, self.rate, clock.own_s[-1]) for o, clock in zip(offsets, filmed)]
         if given:
             made = [replace(c, offset_s=-float(given.get(c.camera, 0.0)) / c.fps) for c in filmed]
         else:
             made = [replace(c, offset_s=v.offset_s, drift_ppm=v.drift_ppm) for c, v in zip(filmed, verdicts)]
-        common = common_moments(made, first_frame, frame_count)
+        common = common_moments(made, self.take.first_frame, self.take.frame_count)
         # Motion may be another person's: then the cameras may as well have been started together.
         sure = given or common.refusal or not any(lag.source == motion.MOTION for lag in known)
         return [common] if sure else [common, replace(common, cameras=tuple(filmed))]
 
-    def compare_motion(before: Evidence, people: Sequence[Lag]) -> Evidence:
-        return with_motion(before, films, lines, people, threads)
+    def run(self, searches: dict[str, Search], signals: Evidence) -> tuple[list[Search], Evidence]:
+        """The ``searches`` and the evidence once every offset is determined and every searched film shows people, or
+        once more of the films would add neither."""
+        first_s, upto, people = self.first_s, _MIN_STRETCHES, list[Lag]()
+        while True:
+            likely = self.likely([*signals.lags, *people])
+            chosen = chosen_stretches(likely, self.filmed, first_s, self.take.is_part)
+            searches = search_on(searches, {c: [one[1:] for one in chosen[c] if one[0] < upto] for c in searches})
+            unknown = []
+            if self.uses_people:
+                seen = [one.tracked() for one in searches.values() if len(one.found.frame)]
+                people, _ = people_lags(seen, self.filmed, self.rate)
+                unknown = unlinked([*signals.lags, *people], len(self.filmed))
+            shown = [c for c in unknown if (own := searches.get(self.filmed[c].camera)) and len(own.found.frame)]
+            if unknown and "motion" not in signals.without:
+                signals = self.with_motion(signals, people)
+            elif shown and first_s < _LONGEST_S:
+                first_s *= 2
+            elif upto < len(next(iter(chosen.values()))) and any(one.shows_few() for one in searches.values()):
+                upto += 1
+            else:
+                return list(searches.values()), signals
 
-    wanted, signals = settings.sync != "never" and len(cameras) > 1, Evidence([], {})
-    uses_people = wanted and bool(searched) and not given and not part
+
+def run(
+    settings: Settings,
+    take: Take,
+    whole: int,
+    lags: Written,
+    searched: list[str],
+    detector: DetectorFiles,
+    found: list[Written],
+) -> None:
+    """Write ``lags`` (JSON) of the ``take``'s footage, and who was ``found`` (npz) in moments of each ``searched``
+    camera's. ``whole``: 1 to search whole films."""
+    films, lines = open_films(take.sources, settings.picture_fps)
+    filmed = [clock_as_filmed(c, line) for c, line in zip(take.cameras, lines)]
+    search = OffsetSearch(take, films, lines, filmed)
+    wanted, signals = settings.sync != "never" and len(filmed) > 1, Evidence([], {})
+    uses_people = wanted and bool(searched) and not take.starts_frames and not take.is_part
     if wanted:
-        signals = sound_evidence(films, lines, sources)
-        if not uses_people and unlinked(signals.lags, len(cameras)):
-            signals = compare_motion(signals, [])
-    first_s = _FIRST_S if uses_people and unlinked(signals.lags, len(cameras)) else _STRETCH_S
+        signals = search.sound()
+        if not uses_people and unlinked(signals.lags, len(filmed)):
+            signals = search.with_motion(signals, [])
+    first_s = _FIRST_S if uses_people and unlinked(signals.lags, len(filmed)) else _STRETCH_S
     if whole or all(clock.own_s[-1] <= _WHOLE * (first_s + 2 * _STRETCH_S) for clock in filmed):
         first_s = math.inf
-    search = OffsetSearch(filmed, place, compare_motion, uses_people, first_s, part)
+    search = replace(search, uses_people=uses_people, first_s=first_s)
     network, worth = (detector.detector(), detector.worth()) if searched else (None, {})
-    searches = {c: Search.of(c, film, network, worth) for c, film in zip(cameras, films) if c in searched}
-    done, signals = search.run(searches, signals, threads) if searches else ([], signals)
+    searches = {c: Search.of(c, film, network, worth) for c, film in zip(take.cameras, films) if c in searched}
+    done, signals = search.run(searches, signals) if searches else ([], signals)
     write_lags(lags, signals.lags, signals.without)
     for one, path in zip(done, found, strict=True):
         write_raw_detections(path, one.found)

@@ -33,6 +33,7 @@ from studiorecon.errors import UserError
 from studiorecon.footage.duplicate_films import compare_views
 from studiorecon.footage.source import FootageSource, PictureRate, open_source, timing_irregularities
 from studiorecon.keypoints.film_colours import colour_notes
+from studiorecon.machine.threads import in_threads
 from studiorecon.progress import say, warn
 from studiorecon.scene.clocks import Clock, write_clocks
 from studiorecon.scene.files import write_json
@@ -52,6 +53,34 @@ class Settings(PictureRate):
         "Time offsets from sound, people and motion: auto applies them, report only reports, never "
         "skips. starts in capture.yaml takes precedence.",
     )
+
+
+@dataclass(frozen=True)
+class Take:
+    """The films of a capture, and the part of them that is used.
+
+    Attributes:
+        cameras, sources: names and footage, in the same order.
+        starts: JSON, camera → frame of its footage at one common moment, from the user; empty: unknown.
+        first_frame, frame_count: chosen among the moments that all cameras have (0: all).
+    """
+
+    cameras: list[str]
+    sources: list[Path]
+    starts: str = "{}"
+    first_frame: int = 0
+    frame_count: int = 0
+
+    @property
+    def starts_frames(self) -> Mapping[str, float]:
+        """``starts`` as numbers."""
+        given: dict[str, float] = json.loads(self.starts)
+        return given
+
+    @property
+    def is_part(self) -> bool:
+        """Whether only a part of the films is used."""
+        return bool(self.first_frame or self.frame_count)
 
 
 @dataclass(frozen=True)
@@ -200,24 +229,19 @@ def different_lengths_note(
 
 def run(
     settings: Settings,
-    cameras: list[str],
-    sources: list[Path],
+    take: Take,
     sightings: list[Path],
     lags: Path,
-    starts: str,
-    first_frame: int,
-    frame_count: int,
     clocks: Written,
     findings: Written,
     calibration: list[Path] | None = None,
 ) -> None:
-    """Write ``clocks`` (used by all later steps) and ``findings`` (the evidence) of the footage ``sources``, both JSON.
+    """Write ``clocks`` (used by all later steps) and ``findings`` (the evidence) of the ``take``'s footage, both JSON.
 
-    ``sightings`` exist for cameras with known people, in any order; ``lags`` are those by sound and motion. ``starts``:
-    JSON, camera → frame of its footage at one common moment, from the user; then that counts. ``first_frame`` and
-    ``frame_count`` choose among the moments that all cameras have (0: all). ``calibration``: none or one file, the
-    user's own, which makes people's evidence sharper.
+    ``sightings`` exist for cameras with known people, in any order; ``lags`` are those by sound and motion. Starts that
+    the user gives count. ``calibration``: none or one file, the user's own, which makes people's evidence sharper.
     """
+    cameras, sources, given = take.cameras, take.sources, take.starts_frames
     opened, lines = open_films(sources, settings.picture_fps)
     made = [clock_as_filmed(c, line) for c, line in zip(cameras, lines)]
     for clock, source in zip(made, sources):
@@ -230,7 +254,6 @@ def run(
     films = {camera: source for camera, source in zip(cameras, opened) if source is not None}
     seen = [read_detections(path) for path in sightings]
     lost: list[str] = []
-    given: Mapping[str, float] = json.loads(starts)
     read = read_lenses(calibration[0]) if calibration else {}
     if settings.sync != "never" and len(cameras) > 1:
         lenses = {c: (read[c], film.wh) for c, film in films.items() if c in read}
@@ -248,8 +271,8 @@ def run(
             _compare_with_given(given, found, made, cameras[reference])
     if given:
         made = [replace(c, offset_s=-float(given.get(c.camera, 0.0)) / c.fps) for c in made]
-    common = common_moments(made, first_frame, frame_count)
-    if not given and not frame_count and not common.refusal and (settings.sync != "auto" or found):
+    common = common_moments(made, take.first_frame, take.frame_count)
+    if not given and not take.frame_count and not common.refusal and (settings.sync != "auto" or found):
         unsure = found if settings.sync == "auto" else [{"camera": c, "kind": "undetermined"} for c in cameras]
         names, promised = [f"{s.parent.name}/{s.name}" for s in sources], [s.announced for s in opened if s]
         common = replace(common, refusal=different_lengths_note(made, names, unsure, promised))
@@ -269,22 +292,24 @@ def run(
 
 def open_films(sources: Sequence[Path], picture_fps: float) -> tuple[list[FootageSource | None], list[Timeline]]:
     """Every camera's footage as far as readable; otherwise a message, and the others' timeline until it is decoded."""
-    opened: list[FootageSource | None] = []
-    lines: list[Timeline | None] = []
-    for path in sources:
+
+    def opened(path: Path) -> tuple[FootageSource, Timeline] | UserError:
         try:
             source = open_source(path, picture_fps)
-            opened.append(source)
-            lines.append(read_timeline(source))
+            return source, read_timeline(source)
         except UserError as refusal:
+            return refusal
+
+    found = list(in_threads(opened, sources))
+    for refusal in found:
+        if isinstance(refusal, UserError):
             warn(str(refusal))
-            opened[len(lines) :] = [None]
-            lines.append(None)
+    films, lines = zip(*((None, None) if isinstance(one, UserError) else one for one in found))
     readable = [line for line in lines if line is not None]
     if not readable:
         raise UserError(f"none of the {len(sources)} videos can be read, {sources[0]} among them; copy them again")
     shortest = min(readable, key=lambda line: line.frames)
-    return opened, [line or replace(shortest, first_s=0.0) for line in lines]
+    return list(films), [line or replace(shortest, first_s=0.0) for line in lines]
 
 
 def _compare_with_given(

@@ -13,10 +13,9 @@ from studiorecon.detector.blazepose import MASK_PX, Landmarks
 from studiorecon.detector.film_rotation import film_from_turned, quarter_turns, rotate_picture
 from studiorecon.detector.frame_detection import Detector
 from studiorecon.detector.tracking import detect_people, keypoints_with_confidence
-from studiorecon.footage.frames import decode, seek_frames, spread_frames
+from studiorecon.footage.frames import seek_frames, spread_frames
 from studiorecon.footage.source import FootageSource
 from studiorecon.keypoints.motion import differences_from_usual, shrink_picture
-from studiorecon.scene.raw_detections import RawDetections, unseen
 
 if TYPE_CHECKING:
     from jaxtyping import Integer
@@ -51,16 +50,6 @@ class FilmDetector:
         shown, compared = [moments[k] for k in most], apart[most] if len(moments) > 2 else np.full_like(apart, np.nan)
         turns, seen = quarter_turns(self.network, seek_frames(footage, shown), list(compared), noise)
         return replace(self, turns=turns, seen=dict(zip(shown, seen)))
-
-    def search(self, found: RawDetections, wanted: Sequence[tuple[int, int]]) -> RawDetections:
-        """``found`` with the people in those frames of the stretches ``wanted`` (first frame, count) that were not
-        searched before."""
-        rows, looked = list[tuple](), [*found.looked]
-        for first, count in wanted:
-            for new in unseen(looked, first, count):
-                rows += self.rows(decode(self.footage, *new), new[0])
-                looked.append(new)
-        return found.completed(rows, looked)
 
     def rows(self, pictures: Iterable[Integer[np.ndarray, "H W 3"]], begin: int) -> list[tuple]:
         """The people in successive pictures from frame ``begin`` on, as rows of ``RawDetections.of``."""

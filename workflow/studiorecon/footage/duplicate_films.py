@@ -13,6 +13,7 @@ import numpy as np
 from studiorecon.errors import UserError
 from studiorecon.footage.frames import seek_frames
 from studiorecon.footage.source import FootageSource
+from studiorecon.machine.threads import in_threads
 from studiorecon.progress import warn
 
 if TYPE_CHECKING:
@@ -41,24 +42,16 @@ def compare_views(sources: Mapping[str, FootageSource]) -> tuple[str, list[str]]
     """
     still: dict[str, np.ndarray] = {}
     changed = []
-    for camera, source in sources.items():
-        try:
-            at = (
-                np.linspace(source.frames // 20, source.frames - 1 - source.frames // 20, _PICTURES)
-                .astype(int)
-                .tolist()
-            )
-            pictures = list(seek_frames(source, at))
-        except UserError as refusal:  # the step that decodes it stops at that; the others are still compared
-            warn(str(refusal))
+    for camera, seen in zip(sources, in_threads(_compare_with_itself, sources.values())):
+        if isinstance(seen, UserError):  # the step that decodes it stops at that; the others are still compared
+            warn(str(seen))
             continue
-        still[camera] = static_image(pictures)
-        other = [frame for frame, p in zip(at[1:], pictures[1:]) if share_in_place(pictures[0], p) < _OTHER_VIEW]
-        if other:
+        still[camera], frames = seen
+        if len(frames) > 1:
             changed.append(
-                f"camera {camera} shows another view in frame {other[0]} of its film than in frame {at[0]}: it moved, "
-                "or a part is of another film; use frames of one view (frames: in capture.yaml), or leave it out "
-                "(train: [...])"
+                f"camera {camera} shows another view in frame {frames[1]} of its film than in frame {frames[0]}: it "
+                "moved, or a part is of another film; use frames of one view (frames: in capture.yaml), or leave it "
+                "out (train: [...])"
             )
     for one, two in combinations(still, 2):
         if same_view(still[one], still[two]):
@@ -67,6 +60,18 @@ def compare_views(sources: Mapping[str, FootageSource]) -> tuple[str, list[str]]
                 f"bring the footage of {two}, or leave it out (train: [...] in capture.yaml)"
             ), changed
     return "", changed
+
+
+def _compare_with_itself(source: FootageSource) -> tuple[np.ndarray, list[int]] | UserError:
+    """The static content of a film, and its first compared frame with those of another view; or why it has none."""
+    last = source.frames - 1 - source.frames // 20
+    at = [int(frame) for frame in np.linspace(source.frames // 20, last, _PICTURES)]
+    try:
+        pictures = seek_frames(source, at)
+    except UserError as refusal:
+        return refusal
+    other = [frame for frame, p in zip(at[1:], pictures[1:]) if share_in_place(pictures[0], p) < _OTHER_VIEW]
+    return static_image(pictures), [at[0], *other]
 
 
 def share_in_place(one: Integer[np.ndarray, "H W 3"], two: Integer[np.ndarray, "H W 3"]) -> float:

@@ -16,6 +16,7 @@ from studiorecon.errors import UserError
 from studiorecon.footage.frames import seek_frames
 from studiorecon.footage.source import FootageSource
 from studiorecon.keypoints.layouts import LAYOUTS
+from studiorecon.machine.threads import in_threads
 from studiorecon.scene.camera import Lens
 from studiorecon.scene.people import Detections
 
@@ -51,24 +52,26 @@ def colour_notes(
 ) -> list[str]:
     """Warnings of films in whose people the colours are inverted or exchanged; ``seen`` by the films' own frames, in
     their pixels or, as ``lenses`` say, the calibration's. Unreadable films are left out: decoding refuses them."""
-    colours = {}
-    for found in seen:
-        frames = np.unique(found.frame)
-        wanted = (
-            frames[np.unique(np.linspace(0, len(frames) - 1, _PICTURES).round().astype(int))] if len(frames) else []
-        )
-        if len(wanted) and found.camera in films:
-            try:
-                pictures = seek_frames(films[found.camera], [int(frame) for frame in wanted])
-            except UserError:
-                continue
-            lens, keypoints = (lenses or {}).get(found.camera), found.keypoints
-            if lens is not None and lens.keypoints_calibrated:
-                turn, shift = lens.calibration_from_video[:, :2], lens.calibration_from_video[:, 2]
-                at = (keypoints[..., :2] - shift) @ np.linalg.inv(turn).T
-                keypoints = np.concatenate([at, keypoints[..., 2:]], axis=-1)
-            people = [keypoints[found.frame == t] for t in wanted]
-            colours[found.camera] = limb_colours(pictures, people, LAYOUTS[found.layout].keypoints)
+
+    def colours_of(found: Detections) -> np.ndarray | None:
+        frames, film = np.unique(found.frame), films.get(found.camera)
+        if film is None or not len(frames):
+            return None
+        wanted = frames[np.unique(np.linspace(0, len(frames) - 1, _PICTURES).round().astype(int))].tolist()
+        try:
+            pictures = seek_frames(film, wanted)
+        except UserError:
+            return None
+        lens, keypoints = (lenses or {}).get(found.camera), found.keypoints
+        if lens is not None and lens.keypoints_calibrated:
+            turn, shift = lens.calibration_from_video[:, :2], lens.calibration_from_video[:, 2]
+            at = (keypoints[..., :2] - shift) @ np.linalg.inv(turn).T
+            keypoints = np.concatenate([at, keypoints[..., 2:]], axis=-1)
+        people = [keypoints[found.frame == t] for t in wanted]
+        return limb_colours(pictures, people, LAYOUTS[found.layout].keypoints)
+
+    known = list(seen)
+    colours = {d.camera: own for d, own in zip(known, in_threads(colours_of, known)) if own is not None}
     return [
         f"people in the film of camera {camera} have the colours of the other films with {what}: export it again in "
         "the colours that the camera recorded"

@@ -23,6 +23,7 @@ from studiorecon.arrays import require
 from studiorecon.geometry.statistics import peak_position
 from studiorecon.geometry.triangulation import Limits, triangulate, unit_px
 from studiorecon.images.channels import channel_sum
+from studiorecon.machine.threads import in_threads
 from studiorecon.rig.room_picture import RoomPicture
 from studiorecon.scene.camera import Camera
 
@@ -134,10 +135,11 @@ def floor_marks(
     pixel_m = np.array([_pixel_m(camera, middle) for camera in cameras])
     # The pictures' resolution, within the useful range.
     place_m = float(np.clip(np.median(pixel_m[views]), _FINEST_M, _WIDEST_M))
-    laid = {v: _project_to_floor(rooms[v], cameras[v], _grid(middle_m, place_m), plane_m) for v in views}
-    places: list[tuple[int, np.ndarray, dict[int, np.ndarray]]] = []
-    seen_by: dict[tuple[int, int], int] = {}
-    for a in views:
+    grid_m = _grid(middle_m, place_m)
+    laid = dict(zip(views, in_threads(lambda v: _project_to_floor(rooms[v], cameras[v], grid_m, plane_m), views)))
+
+    def matched(a: int) -> tuple[np.ndarray, dict[int, np.ndarray]]:
+        """Places on the floor of view ``a`` that others share, and where each other has them, NaN where it does not."""
         at = _edge_places(laid[a], place_m)
         patches = [_patch(laid[a], place, place_m) for place in at]
         again = {
@@ -146,15 +148,16 @@ def floor_marks(
             if b != a
         }
         # Most have no match, so their surroundings need no check.
-        some = np.any([np.isfinite(moved[:, 0]) for moved in again.values()], axis=0).tolist()
-        alone = np.array([s and _is_distinct(laid[a], place, place_m, reach_m) for s, place in zip(some, at)], bool)
-        found: dict[int, np.ndarray] = {}
-        for b, moved in again.items():
-            agreed = _one_homography(at[alone], moved[alone], place_m)
-            if agreed.any():
-                found[b] = np.where(agreed[:, None], moved[alone], np.nan)
-                seen_by[a, b] = int(agreed.sum())
-        places += [(a, place, {b: m[k] for b, m in found.items()}) for k, place in enumerate(at[alone])]
+        some = np.any([np.isfinite(moved[:, 0]) for moved in again.values()], axis=0)
+        some[some] = _are_distinct(laid[a], at[some], place_m, reach_m)
+        agreed = {b: _one_homography(at[some], moved[some], place_m) for b, moved in again.items()}
+        return at[some], {b: np.where(ok[:, None], again[b][some], np.nan) for b, ok in agreed.items() if ok.any()}
+
+    places: list[tuple[int, np.ndarray, dict[int, np.ndarray]]] = []
+    seen_by: dict[tuple[int, int], int] = {}
+    for a, (at, found) in zip(views, in_threads(matched, views)):
+        seen_by |= {(a, b): int(np.isfinite(moved[:, 0]).sum()) for b, moved in found.items()}
+        places += [(a, place, {b: m[k] for b, m in found.items()}) for k, place in enumerate(at)]
     kept = [p for p in places if any(np.isfinite(at).all() for at in p[2].values())]
     if not kept:
         return None
@@ -227,8 +230,8 @@ def _coarse(
 ) -> tuple[float, dict[tuple[int, int], np.ndarray]]:
     """The height at which the floors of all cameras agree best, and the shift of each pair there, all in metres."""
     grid_m, reach = _grid(middle_m, _COARSE_M), max(1, round(reach_m / _COARSE_M))
-    best: tuple[float, float, dict[tuple[int, int], np.ndarray]] | None = None
-    for plane_m in height_m + _HEIGHTS_M:
+
+    def agreement(plane_m: float) -> tuple[float, float, dict[tuple[int, int], np.ndarray]]:
         spectra = {v: _spectra(_project_to_floor(rooms[v], cameras[v], grid_m, plane_m)) for v in views}
         total, shifts = 0.0, {}
         for a, b in itertools.combinations(views, 2):
@@ -236,10 +239,10 @@ def _coarse(
             row, column = np.unravel_index(int(np.argmax(score)), score.shape)
             total += float(score[row, column])
             shifts[a, b] = (np.array([column, row]) - reach) * _COARSE_M
-        if best is None or total > best[0]:
-            best = total, float(plane_m), shifts
-    assert best is not None
-    return best[1], best[2]
+        return total, plane_m, shifts
+
+    _, plane_m, shifts = max(in_threads(agreement, (height_m + _HEIGHTS_M).tolist()), key=lambda one: one[0])
+    return plane_m, shifts
 
 
 def _spectra(laid: _FloorImage) -> np.ndarray:
@@ -284,14 +287,18 @@ def _patch(laid: _FloorImage, place: np.ndarray, place_m: float) -> np.ndarray:
     return laid.edges[row - half : row + half + 1, column - half : column + half + 1]
 
 
-def _is_distinct(laid: _FloorImage, place: np.ndarray, place_m: float, reach_m: float) -> bool:
-    """Whether the patch at a cell differs from all of its neighbourhood."""
+def _are_distinct(laid: _FloorImage, at: np.ndarray, place_m: float, reach_m: float) -> np.ndarray:
+    """(K,) whether the patch at each cell differs from all of its neighbourhood."""
     beside = max(1, round(_BESIDE_M / place_m))
     reach = max(2 * beside, round(reach_m / place_m))
-    around = _window(laid.edges, place[1], place[0], _half(place_m) + reach)
-    similarity = cv2.matchTemplate(around, _patch(laid, place, place_m), cv2.TM_CCORR_NORMED)
-    similarity[_disc(similarity.shape, reach, reach, beside)] = -1
-    return bool(similarity.max() < _SELF_ALIKE)
+    edges, size = _bordered(laid.edges, _half(place_m) + reach), 2 * (_half(place_m) + reach) + 1
+    distinct = np.zeros(len(at), bool)
+    for k, (column, row) in enumerate(at):
+        around = edges[row : row + size, column : column + size]
+        similarity = cv2.matchTemplate(around, _patch(laid, at[k], place_m), cv2.TM_CCORR_NORMED)
+        similarity[_disc(similarity.shape, reach, reach, beside)] = -1
+        distinct[k] = similarity.max() < _SELF_ALIKE
+    return distinct
 
 
 def _has_edge(edges: np.ndarray) -> np.ndarray:
@@ -299,17 +306,9 @@ def _has_edge(edges: np.ndarray) -> np.ndarray:
     return np.asarray(channel_sum(np.abs(edges)) > 0)
 
 
-def _window(edges: np.ndarray, row: int, column: int, half: int) -> np.ndarray:
-    """(2 half + 1, 2 half + 1, 2) edges around a cell, 0 beyond the border."""
-    height, width = edges.shape[:2]
-    top, left, bottom, right = row - half, column - half, row + half + 1, column + half + 1
-    inside = edges[max(top, 0) : max(bottom, 0), max(left, 0) : max(right, 0)]
-    rim = [
-        (min(max(0, -top), 2 * half + 1), min(max(0, bottom - height), 2 * half + 1)),
-        (min(max(0, -left), 2 * half + 1), min(max(0, right - width), 2 * half + 1)),
-        (0, 0),
-    ]
-    return np.ascontiguousarray(np.pad(inside, rim)[: 2 * half + 1, : 2 * half + 1])
+def _bordered(edges: np.ndarray, cells: int) -> np.ndarray:
+    """The edges (H, W, 2) with so many cells without edges around them."""
+    return np.asarray(cv2.copyMakeBorder(edges, *(cells,) * 4, cv2.BORDER_CONSTANT))
 
 
 def _disc(shape: tuple[int, ...], row: int, column: int, radius: int) -> np.ndarray:
@@ -324,11 +323,16 @@ def _match_back(
     found = np.full((len(patches), 2), np.nan)
     reach, beside = max(2, round(_BEYOND_M / place_m)), max(1, round(_BESIDE_M / place_m))
     begin = np.rint(np.asarray(shift_m) / place_m).astype(int)
+    half = _half(place_m) + reach
+    margin, size = half + int(np.abs(begin).max()), 2 * half + 1
+    edges = _bordered(laid.edges, margin)
+    share = cv2.boxFilter(_has_edge(edges).astype(np.float32), -1, (size, size), borderType=cv2.BORDER_CONSTANT)
     for k, patch in enumerate(patches):
         column, row = (int(i) for i in at[k] + begin)
-        around = _window(laid.edges, row, column, len(patch) // 2 + reach)
-        if _has_edge(around).mean() < _MIN_EDGES / 2:
+        if share[row + margin, column + margin] < _MIN_EDGES / 2:
             continue
+        top, left = row + margin - half, column + margin - half
+        around = edges[top : top + size, left : left + size]
         similarity = cv2.matchTemplate(around, patch, cv2.TM_CCORR_NORMED)
         top, left = (int(i) for i in np.unravel_index(int(np.argmax(similarity)), similarity.shape))
         best = float(similarity[top, left])
