@@ -74,6 +74,9 @@ class OfTheUpright:
         seen = self.look(picture, Region(np.zeros(2), 1.0, 0.0))
         return [seen] if seen.presence and not known else []
 
+    def surest(self, picture: np.ndarray) -> float:
+        return self.look(picture, Region(np.zeros(2), 1.0, 0.0)).presence
+
 
 @pytest.mark.parametrize("turns", range(4))
 def test_people_are_looked_for_upright_and_reported_in_the_films_own_pixels(
@@ -99,9 +102,9 @@ def test_people_are_looked_for_upright_and_reported_in_the_films_own_pixels(
     np.testing.assert_allclose(upper, [MASK_PX / 2, MASK_PX / 2 - 0.4 * MASK_PX], atol=1e-6)
 
 
-@pytest.mark.parametrize(("pictures", "searched"), [(1, 4), (4, 1)])
+@pytest.mark.parametrize("pictures", [1, 4])
 def test_no_picture_is_searched_twice_for_how_it_is_turned(
-    pictures: int, searched: int, root: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    pictures: int, root: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     shown: list[np.ndarray] = []
 
@@ -117,7 +120,7 @@ def test_no_picture_is_searched_twice_for_how_it_is_turned(
         picture[30, 50 + 9 * number], picture[70, 60 + 9 * number] = 255, 200
         cv2.imwrite(str(tmp_path / "a" / f"{number}.png"), picture)
     assert len(detected(tmp_path / "a", root, tmp_path).frame) == pictures
-    assert len(shown) == searched
+    assert len(shown) == 1
 
 
 @pytest.mark.parametrize(

@@ -71,6 +71,10 @@ class Detector:
         everybody = drop_overlapping([*known, *found])
         return [f for f in found if any(f is e for e in everybody)]
 
+    def surest(self, picture: Integer[np.ndarray, "H W 3"]) -> float:
+        """Score of the surest person whom the finder sees in the picture at a glance; 0 without one."""
+        return max((one.score for one in self.finder.find(picture, _SEARCHED_PX[0], _MIN_SCORE)), default=0.0)
+
 
 def _is_one_of(sighting: Sighting, people: Sequence[np.ndarray]) -> bool:
     """Whether a sighting is of one of ``people`` (17 points each)."""
