@@ -1,13 +1,18 @@
 # SPDX-License-Identifier: Apache-2.0
 """Hands of finished runs: in how many views, how well views agree, how constant bones are; off from a made studio's.
 
-python -m benchmarks.hands results/SCENE [results/SCENE …]
-python -m benchmarks.hands exchanged       # left and right hand in four times 1,000 made frames of four cameras
+    python -m benchmarks.hands results/SCENE [results/SCENE …]
+    python -m benchmarks.hands exchanged       # left and right hand in four times 1,000 made frames of four cameras
+    python -m benchmarks.hands cost results/SCENE DATASET
+
+The last one detects people in the videos of DATASET again, with and without hands. Seconds are of processor time.
 """
 
 from __future__ import annotations
 
 import sys
+import tempfile
+import time
 from itertools import product
 from pathlib import Path
 
@@ -26,14 +31,17 @@ from studiorecon.rig.body_points import person_tracks
 from studiorecon.rig.hand_sizes import hand_sizes_px, second_best
 from studiorecon.scene.camera import Camera
 from studiorecon.scene.capture import read_manifest
-from studiorecon.scene.people import Detections, read_detections, read_identities, read_people
+from studiorecon.scene.people import Detections, Person, read_detections, read_identities, read_people
 from studiorecon.studio.hand_motion import finger_poses
 from studiorecon.studio.performance import PARTS, perform, random_betas
 
+from benchmarks.detector import find_people, look_again
 from tests.made.cameras import look_at
 
 # Every point of a hand and the one before it on its finger.
 BONES = np.array([(0 if k % 4 == 1 else k - 1, k) for k in range(1, 21)])
+# The same of a hand's wrist and 15 joints.
+JOINT_BONES = np.array([(0 if k % 3 == 1 else k - 1, k) for k in range(1, 16)])
 # Shares of each camera's seconds with exchanged arms, and of each hand's half seconds in which the network is sure of
 # the wrong side: worse than films.
 _SWAPPED, _WRONG = 0.1, 0.2
@@ -49,25 +57,56 @@ def rows(results: Path) -> list[str]:
         lines += against_truth(results, person, seen, whose, cameras, film_px, manifest.frames)
         hands = person_hands(person, seen, whose, cameras, film_px, manifest.frames, "auto", manifest.fps)
         if hands is not None:
-            lines += agreement(f"{results.name} {person}", hands, cameras, film_px)
+            fitted = read_person(results / f"people/{person}.npz")
+            lines += agreement(f"{results.name} {person}", hands, cameras, film_px, fitted)
     return lines
 
 
-def agreement(label: str, hands: np.ndarray, cameras: list[Camera], film_px: list[float]) -> list[str]:
-    """A line for the left and the right of ``hands`` (V, T, 2, 21, 3)."""
+def agreement(
+    label: str, hands: np.ndarray, cameras: list[Camera], film_px: list[float], fitted: Person
+) -> list[str]:
+    """A line for the left and the right of ``hands`` (V, T, 2, 21, 3), and those that were ``fitted`` to them."""
     lines = []
     for side, found in enumerate(triangulate_hands(hands, cameras, Triangulation())):
         whole = np.isfinite(found.points_m).all((1, 2))
         points, views = found.points_m[whole], np.bincount((hands[:, :, side, 0, 2] > 0).sum(0)).tolist()
         off = [s * (c.project(points)[0] - h[whole, side, :, :2]) for c, h, s in zip(cameras, hands, film_px)]
-        bones_mm = 1000 * np.linalg.norm(np.diff(points[:, BONES], axis=2)[:, :, 0], axis=-1)
-        spread_mm = np.median(np.abs(bones_mm - np.median(bones_mm, 0)), 0) if len(points) else [np.nan]
         off_px = np.nanmedian(np.linalg.norm(off, axis=-1)) if len(points) else np.nan
-        lines.append(
-            f"{label} {('left', 'right')[side]}: frames by views {views}, whole {len(points)}, "
-            f"off {off_px:.1f} px, bones ± {np.median(spread_mm):.1f} mm, at worst {np.max(spread_mm):.1f} mm"
-        )
+        line = f"{label} {('left', 'right')[side]}: frames by views {views}, whole {len(points)}, off {off_px:.1f} px, "
+        line += f"bones of the points {constancy(points, BONES)}"
+        if fitted.hand_joints is not None:
+            own = fitted.hand_joints[:, 15 * side : 15 * side + 15]
+            line += f", of the fitted fingers {constancy(np.insert(own, 0, fitted.joints[:, 20 + side], 1), JOINT_BONES)}"
+        lines.append(line)
     return lines
+
+
+def constancy(points_m: np.ndarray, bones: np.ndarray) -> str:
+    """Median deviation of bones' lengths from their medians over time: of all bones, and of the worst."""
+    if not len(points_m):
+        return "unknown"
+    bones_mm = 1000 * np.linalg.norm(np.diff(points_m[:, bones], axis=2)[:, :, 0], axis=-1)
+    spread_mm = np.median(np.abs(bones_mm - np.median(bones_mm, 0)), 0)
+    return f"± {np.median(spread_mm):.1f} mm, at worst {np.max(spread_mm):.1f} mm"
+
+
+def cost(results: Path, dataset: Path) -> str:
+    """What the search for hands adds to the detection of people."""
+    people_s = hands_s = 0.0
+    with tempfile.TemporaryDirectory() as folder:
+        for about in read_manifest(results / "capture/manifest.json").footage:
+            if about.held_out:
+                continue
+            about_film = results, about.camera, dataset / about.source, Path(folder), "blazepose_heavy"
+            began_s = time.process_time()
+            find_people(about.camera, dataset / about.source, "blazepose_heavy", Path(folder) / "found.npz")
+            found_s = time.process_time()
+            look_again(*about_film, hands="off")
+            bare_s = time.process_time()
+            look_again(*about_film, hands="auto")
+            people_s += bare_s - began_s
+            hands_s += time.process_time() - bare_s - (bare_s - found_s)
+    return f"{results.name}: {people_s:.1f} s without hands; hands take {hands_s:.1f} s more: {hands_s / people_s:.0%}"
 
 
 def against_truth(
@@ -176,5 +215,8 @@ if __name__ == "__main__":
     if sys.argv[1:] == ["exchanged"]:
         body = BodyModel.load(Path("resources/body.npz"))
         print(*(exchanged(body, seed) for seed in (5, 6, 7, 8)), sep="\n")
+        sys.exit()
+    if sys.argv[1] == "cost":
+        print(cost(Path(sys.argv[2]), Path(sys.argv[3])))
         sys.exit()
     print("\n".join(line for folder in sys.argv[1:] for line in rows(Path(folder))))

@@ -118,7 +118,7 @@ def test_hands_hang_on_their_arms_and_fill_the_pictures_between():
     found = searched(network, camera)
     np.testing.assert_allclose(found[:4, :, :, :2], truth[:4, :, :, :2], atol=1e-2)
     assert np.isnan(found[4:, ..., 0]).all()  # frame 6, the next that would be searched, is not there
-    assert network.looks == 2 * (2 + 1)  # twice at the first, once where a hand was followed
+    assert network.looks == 2 * 2  # of both hands in both pictures that are searched
 
 
 @pytest.mark.parametrize(("bent_rad", "is_found"), [(0.0, True), (0.6, True), (-0.6, True), (1.5, False)])
@@ -132,9 +132,9 @@ def test_a_hand_at_a_bent_wrist_is_searched_for_in_turned_crops(bent_rad: float,
     fingers = np.column_stack([np.linspace(0, 60, 21), np.tile([-8.0, 0.0, 8.0], 7)])
     c, s = np.cos(bent_rad), np.sin(bent_rad)
     hand = fingers @ np.array([[c, s], [-s, c]]) + 100
-    arms = [Arm(t, t, 0, 0, hand[0], hand[0] + [60.0, 0.0], 60.0) for t in range(3)]
+    arms = [Arm(t, t, 0, 0, hand[0], hand[0] + [60.0, 0.0], 60.0) for t in range(4)]
     network = Upright(np.stack([hand, hand + 900]))
-    found = find_hands(network, [np.zeros((4, 4, 3), np.uint8)] * 3, arms)  # type: ignore[arg-type]
+    found = find_hands(network, [np.zeros((4, 4, 3), np.uint8)] * 4, arms)  # type: ignore[arg-type]
     assert bool(found) == is_found
 
 
@@ -197,6 +197,25 @@ def test_one_hand_found_at_both_arms_is_that_of_its_side(arm: int):
     np.testing.assert_allclose(mended[0, :, arm, :, :2], truth[0, :, arm, :, :2])
     assert np.isnan(mended[0, :, 1 - arm, :, 0]).all()
     np.testing.assert_allclose(mended[1:, ..., :2], truth[1:, ..., :2])
+
+
+def test_clasped_hands_are_not_exchanged_when_they_part():
+    cameras = ring(4)
+    apart, right = arranged(cameras)
+    together = np.array([c.project(BOTH_M + [[[0, -0.29, 0]], [[0, 0.29, 0.2]]])[0] for c in cameras])
+    truth, right = np.tile(apart, (1, 3, 1, 1, 1)), np.tile(right, (1, 3, 1))
+    truth[:, FRAMES : 2 * FRAMES, ..., :2] = together[:, None]
+    given = truth.copy()
+    # Where hands hold each other, each camera finds one of them at both arms.
+    for view, side in enumerate((0, 1, 1, 0)):
+        given[view, FRAMES : 2 * FRAMES, 1 - side] = truth[view, FRAMES : 2 * FRAMES, side]
+        right[view, FRAMES : 2 * FRAMES] = side
+    mended, exchanged = by_side(given, right, cameras, 20.0)
+    assert exchanged == 0
+    for free in (slice(FRAMES), slice(2 * FRAMES, None)):
+        np.testing.assert_allclose(mended[:, free, ..., :2], truth[:, free, ..., :2])
+    twice = np.isclose(mended[:, :, 0, :, :2], mended[:, :, 1, :, :2]).all((2, 3))
+    assert not twice.any()
 
 
 def test_hands_of_a_persons_tracks_reach_the_fit():

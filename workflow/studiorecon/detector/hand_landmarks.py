@@ -25,7 +25,7 @@ if TYPE_CHECKING:
 MIN_PRESENCE = 0.5
 """Probability of a hand from which its points are used: more likely than not."""
 MIN_GUESS = 0.2
-"""The same of a crop by the arm alone, after which the region around the points is looked at."""
+"""The same from which the region around the points is looked at in the next picture."""
 _CROP_PX = 224
 # The crop where only the arm is known: its side, and its middle's distance from the wrist, in lengths of the hand. With
 # them 44 of a real man's 48 hands are found, with 1.5 and 0.35 only 37.

@@ -31,9 +31,9 @@ _CONFIDENCE_POWER = 6
 # Hands are searched for at most so often, pictures per second: fingers move little beside the wrist in a twentieth of a
 # second, and at 30 it would cost a third of detecting the body.
 _SEARCHED_FPS = 20.0
-# Turns of the crops against the arm, one in each picture: most of a wrist's reach to either side. With all three in
+# Turns of the crops against the arm, one in each picture: most of a wrist's reach to either side. With all of them in
 # every picture 169 hands of the made studio were found instead of 166, for a third more time.
-_TURNS_RAD = (0.0, -0.6, 0.6)
+_TURNS_RAD = (0.0, -0.6, 0.0, 0.6)
 
 
 @dataclass(frozen=True)
@@ -113,36 +113,31 @@ def find_hands(
 ) -> dict[tuple[int, int], Hand]:
     """(row, side) → the hand at the end of each of ``arms``; ``pictures`` (RGB) are those of their frames, in order.
 
-    A hand that was found in the picture before is searched for around its points. Else the crop continues the arm; in
-    the next pictures it is turned to either side, as a bent wrist is, until the hand is found.
+    A hand that was found, or guessed, in the picture before is searched for around its points. Where it is not there,
+    the crop continues the arm; in the next pictures it is turned to either side, as a bent wrist is.
     """
     found, last = dict[tuple[int, int], Hand](), dict[tuple[int, int], tuple[Arm, Hand]]()
     missed = Counter[tuple[int, int]]()
     for frame, picture in zip(sorted({arm.frame for arm in arms}), pictures):
         now = dict[tuple[int, int], tuple[Arm, Hand]]()
         for arm in (one for one in arms if one.frame == frame):
-            who, hand = (arm.person, arm.side), None
+            who = arm.person, arm.side
+            straight = region_of_arm(arm.wrist, arm.towards, arm.length_px)
+            regions = [replace(straight, turn_rad=straight.turn_rad + _TURNS_RAD[missed[who] % len(_TURNS_RAD)])]
             if before := last.get(who):
-                region = before[1].region
-                moved = replace(region, centre=region.centre + arm.wrist - before[0].wrist)
-                hand = hand_of_arm(arm, network.look(picture, moved))
-            if hand is None:
-                straight = region_of_arm(arm.wrist, arm.towards, arm.length_px)
-                region = replace(straight, turn_rad=straight.turn_rad + _TURNS_RAD[missed[who] % len(_TURNS_RAD)])
-                hand = network.look(picture, region)
-                hand = hand_of_arm(arm, network.look(picture, hand.region) if hand.presence >= MIN_GUESS else hand)
-            missed[who] = missed[who] + 1 if hand is None else 0
-            if hand is not None:
-                now[who] = arm, hand
+                around = before[1].region
+                regions.insert(0, replace(around, centre=around.centre + arm.wrist - before[0].wrist))
+            for region in regions:
+                seen = network.look(picture, region)
+                there = float(np.linalg.norm(seen.points[0] - arm.wrist)) <= _MAX_OFF * arm.length_px
+                if there and seen.presence >= MIN_GUESS and (who not in now or seen.presence > now[who][1].presence):
+                    now[who] = arm, seen
+                if who in now and now[who][1].presence >= MIN_PRESENCE:
+                    found[arm.row, arm.side] = now[who][1]
+                    break
+            missed[who] = 0 if (arm.row, arm.side) in found else missed[who] + 1
         last = now
-        found |= {(arm.row, arm.side): hand for arm, hand in now.values()}
     return found
-
-
-def hand_of_arm(arm: Arm, seen: Hand) -> Hand | None:
-    """``seen`` if it is a hand at the end of ``arm``."""
-    off = float(np.linalg.norm(seen.points[0] - arm.wrist))
-    return seen if seen.presence >= MIN_PRESENCE and off <= _MAX_OFF * arm.length_px else None
 
 
 def hands_of_rows(
