@@ -62,9 +62,7 @@ def rows(results: Path) -> list[str]:
     return lines
 
 
-def agreement(
-    label: str, hands: np.ndarray, cameras: list[Camera], film_px: list[float], fitted: Person
-) -> list[str]:
+def agreement(label: str, hands: np.ndarray, cameras: list[Camera], film_px: list[float], fitted: Person) -> list[str]:
     """A line for the left and the right of ``hands`` (V, T, 2, 21, 3), and those that were ``fitted`` to them."""
     lines = []
     for side, found in enumerate(triangulate_hands(hands, cameras, Triangulation())):
@@ -76,7 +74,8 @@ def agreement(
         line += f"bones of the points {constancy(points, BONES)}"
         if fitted.hand_joints is not None:
             own = fitted.hand_joints[:, 15 * side : 15 * side + 15]
-            line += f", of the fitted fingers {constancy(np.insert(own, 0, fitted.joints[:, 20 + side], 1), JOINT_BONES)}"
+            own = np.insert(own, 0, fitted.joints[:, 20 + side], axis=1)
+            line += f", of the fitted fingers {constancy(own, JOINT_BONES)}"
         lines.append(line)
     return lines
 

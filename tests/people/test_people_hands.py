@@ -202,7 +202,7 @@ def test_one_hand_found_at_both_arms_is_that_of_its_side(arm: int):
 def test_clasped_hands_are_not_exchanged_when_they_part():
     cameras = ring(4)
     apart, right = arranged(cameras)
-    together = np.array([c.project(BOTH_M + [[[0, -0.29, 0]], [[0, 0.29, 0.2]]])[0] for c in cameras])
+    together = np.array([c.project(BOTH_M + np.array([[[0, -0.29, 0]], [[0, 0.29, 0.2]]]))[0] for c in cameras])
     truth, right = np.tile(apart, (1, 3, 1, 1, 1)), np.tile(right, (1, 3, 1))
     truth[:, FRAMES : 2 * FRAMES, ..., :2] = together[:, None]
     given = truth.copy()

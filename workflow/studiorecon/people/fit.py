@@ -245,7 +245,7 @@ def report_hands(person: str, fits: Sequence[HandFit | None]) -> None:
     """Log in how many frames each hand was measured, and how well."""
     for side, hand in zip(("left", "right"), fits):
         if hand:
-            residual_mm, sigma_mm = 1000 * np.nanmedian(hand.residual_m), 1000 * np.median(hand.sigma_m[hand.valid])
+            residual_mm, sigma_mm = (1000 * np.nanmedian(a[hand.valid]) for a in (hand.residual_m, hand.sigma_m))
             say(
                 f"{person}: {side} fingers measured in {hand.valid.sum()} of {len(hand.valid)} frames; points are "
                 f"{residual_mm:.0f} mm from them (median), joints have a standard deviation of {sigma_mm:.0f} mm"

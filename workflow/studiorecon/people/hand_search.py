@@ -29,7 +29,7 @@ _MAX_OFF = 0.6
 # points are off by 6 % of the hand's length where it is above 0.97, by 8 % to 0.85, by 14 % below.
 _CONFIDENCE_POWER = 6
 # Hands are searched for at most so often, pictures per second: fingers move little beside the wrist in a twentieth of a
-# second, and at 30 it would cost a third of detecting the body.
+# second, and at 30 it would cost a fifth of detecting the body.
 _SEARCHED_FPS = 20.0
 # Turns of the crops against the arm, one in each picture: most of a wrist's reach to either side. With all of them in
 # every picture 169 hands of the made studio were found instead of 166, for a third more time.
