@@ -43,23 +43,25 @@ def read_room_pictures(
     ``moments``: camera → frames of its footage to use; else all of it.
     """
 
-    def read(camera: str, path: Path) -> RoomPicture | None:
+    def read(camera: str, path: Path) -> RoomPicture | UserError | None:
         try:
             source = open_source(path, _ANY_FPS)
             among = np.arange(source.frames) if moments is None else moments[camera]
             wanted = among[spread_indices(len(among), _PICTURES)].tolist()
             seen = [cv2.cvtColor(picture, cv2.COLOR_RGB2GRAY) for picture in spread_frames(source, wanted)]
         except UserError as refusal:
-            warn(f"the room's edges in camera {camera} are not used: {refusal}")
-            return None
+            return refusal
         if camera not in size or not seen or seen[0].shape[::-1] != tuple(size[camera]):
             return None
         room = (_double_median(seen) // 2).astype(np.uint8)
         difference = _double_median([cv2.absdiff(picture, room) for picture in seen])
         return RoomPicture(room, difference < 2 * _STILL_LEVELS)
 
-    found = zip(cameras, in_threads(read, cameras, sources))
-    return {camera: room for camera, room in found if room is not None}
+    found = dict(zip(cameras, in_threads(read, cameras, sources)))
+    for camera, refusal in found.items():
+        if isinstance(refusal, UserError):
+            warn(f"the room's edges in camera {camera} are not used: {refusal}")
+    return {camera: room for camera, room in found.items() if isinstance(room, RoomPicture)}
 
 
 def _double_median(pictures: Sequence[np.ndarray]) -> np.ndarray:
