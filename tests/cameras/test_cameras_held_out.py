@@ -23,8 +23,8 @@ from studiorecon.footage.source import open_source
 from studiorecon.geometry.bundle import BundleSettings, move_camera
 from studiorecon.geometry.rotations import exp
 from studiorecon.plan.discovery import open_dataset
+from studiorecon.rig.calibrated import pose_changes
 from studiorecon.rig.held_out_pose import ObservedJoints, estimate_held_out_pose
-from studiorecon.rig.moved_cameras import pose_changes
 from studiorecon.scene.camera import Camera
 from studiorecon.scene.capture import read_manifest
 from studiorecon.scene.clocks import write_clocks

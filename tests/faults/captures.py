@@ -30,7 +30,7 @@ from studiorecon.detect import keypoints as recorded
 from studiorecon.errors import UserError
 from studiorecon.keypoints.readers import read_keypoints
 from studiorecon.plan.discovery import open_dataset
-from studiorecon.rig.bundle import error_medians
+from studiorecon.rig.agreement import error_medians
 from studiorecon.rig.correspondences import make_observations
 from studiorecon.scene.clocks import read_clocks
 from studiorecon.scene.dataset import Dataset

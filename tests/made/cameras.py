@@ -3,10 +3,7 @@
 
 from __future__ import annotations
 
-from typing import Any
-
 import numpy as np
-from studiorecon.geometry.bundle import LensPrior, adjust_with_lenses
 from studiorecon.geometry.triangulation import Limits
 from studiorecon.keypoints.correspondence import STABLE_KEYPOINTS
 from studiorecon.scene.camera import Camera
@@ -136,9 +133,3 @@ def in_coco(pixels: np.ndarray, present: np.ndarray) -> np.ndarray:
     full = np.full((17, 3), [np.nan, np.nan, 0.0])
     full[_coco_places()] = np.concatenate([pixels, np.where(present, 0.9, 0.0)[:, None]], axis=1)
     return full
-
-
-def adjust(*problem: Any) -> tuple[list[Camera], np.ndarray]:
-    """Cameras and points (N, 3) after bundle adjustment with held lenses."""
-    found = adjust_with_lenses(*problem, lens=LensPrior(0.0, 0.0))
-    return found.cameras, found.points_m

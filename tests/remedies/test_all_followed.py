@@ -63,7 +63,7 @@ ELSEWHERE = {
     "test_the_command_that_a_closed_file_s_sentence_names_opens_it",
     "rig/metric_scale.py *": "calibration/test_calibration_given_lengths.py "
     "test_heights_that_cannot_be_true_together_and_names_of_nobody_are_refused",
-    "rig/moved_cameras.py *": "cameras/test_cameras.py "
+    "cameras/changes.py *": "cameras/test_cameras.py "
     "test_cameras_that_all_moved_by_degrees_are_put_back_where_people_see_them",
 }
 # Why no test can follow the rest, or what stands for it.

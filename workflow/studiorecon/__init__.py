@@ -78,9 +78,9 @@ if TYPE_CHECKING:
     from jaxtyping import Num
 
     from studiorecon.deliver.finished import FinishedScene
-    from studiorecon.geometry.bundle import BundleResult
     from studiorecon.geometry.triangulation import TriangulatedPoints
     from studiorecon.people.association.group import Group
+    from studiorecon.rig.calibrated import CalibratedEstimate
     from studiorecon.scene.camera import Camera
     from studiorecon.scene.people import Detections
     from studiorecon.splatting.rendering import Rendering
@@ -150,10 +150,10 @@ def associate(detections: Sequence[Detections], cameras: Sequence[Camera], fps: 
     return group_tracks(detections, cameras, frames, fps, AssociationLimits(), Limits())
 
 
-def refine(cameras: Sequence[Camera], detections: Sequence[Detections]) -> BundleResult | None:
-    """Cameras after a bundle adjustment on people's keypoints, with the given cameras as prior.
+def refine(cameras: Sequence[Camera], detections: Sequence[Detections]) -> CalibratedEstimate | None:
+    """Cameras by people's keypoints, with the given cameras as prior: as given, refined, or moved.
 
-    None if the keypoints do not determine them. The step ``cameras.refine`` also decides whether the result is better.
+    None if the keypoints do not determine them. The step ``cameras.refine`` also refuses calibrations of other cameras.
 
     >>> nearer = studiorecon.refine(moved, detections)
     >>> before, after = (np.linalg.norm(c[1].centre_m - cameras[1].centre_m) for c in (moved, nearer.cameras))
@@ -165,12 +165,12 @@ def refine(cameras: Sequence[Camera], detections: Sequence[Detections]) -> Bundl
     from studiorecon.geometry.bundle import BundleSettings
     from studiorecon.geometry.triangulation import Limits
     from studiorecon.people.association.affinity import AssociationLimits
-    from studiorecon.rig.bundle import fit_cameras
-    from studiorecon.rig.correspondences import make_observations
+    from studiorecon.rig.calibrated import estimate_calibrated
 
     frames = np.unique(np.concatenate([found.frame for found in detections]))
-    seen, _ = make_observations(detections, cameras, frames, AssociationLimits().gate_m)
-    return fit_cameras(cameras, seen, Limits(), BundleSettings())
+    return estimate_calibrated(
+        cameras, detections, frames, AssociationLimits().gate_m, Limits(), BundleSettings(), lost=True
+    )
 
 
 def score(

@@ -23,7 +23,7 @@ from studiorecon.geometry.lens import lens_with_pixel_map
 from studiorecon.keypoints.correspondence import STABLE_KEYPOINTS
 from studiorecon.keypoints.resampling import resample_keypoints
 from studiorecon.progress import say, warn
-from studiorecon.rig.bundle import AgreementLimits
+from studiorecon.rig.agreement import AgreementLimits
 from studiorecon.rig.estimate import estimate_rig
 from studiorecon.rig.lens_knowledge import lens_knowledge
 from studiorecon.rig.metric_scale import GivenLengths, stature_m

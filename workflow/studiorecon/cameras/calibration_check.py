@@ -11,18 +11,12 @@ import numpy as np
 
 from studiorecon.configuration.setting import setting
 from studiorecon.errors import UserError
-from studiorecon.rig.bundle import (
-    AgreementLimits,
-    CalibrationPrior,
-    LensSettings,
-    choose_lens_terms,
-    contradicted_share,
-    fit_cameras,
-)
-from studiorecon.rig.correspondences import Observations, TrackGraph
+from studiorecon.rig.agreement import AgreementLimits, CalibrationPrior, contradicted_share, error_medians
+from studiorecon.rig.calibrated import CalibratedEstimate, estimate_calibrated
+from studiorecon.rig.correspondences import Observations, TrackGraph, make_observations
 from studiorecon.rig.human_size import check_units
 from studiorecon.rig.hypotheses import check_conventions, refuse_swapped
-from studiorecon.rig.moved_cameras import MovedCameras, relocalise
+from studiorecon.rig.lens_knowledge import undistort_tracks
 from studiorecon.rig.outlier_camera import find_outlier_camera
 from studiorecon.rig.room_picture import RoomPicture
 from studiorecon.scene.camera import Camera
@@ -32,29 +26,21 @@ if TYPE_CHECKING:
     from jaxtyping import Float, Integer
 
 _MAX_CONTRADICTED = 0.5
-# Share of the allowed error above which a swap of cameras is tested.
+# Share of the allowed error above which a swap of cameras is tested, and that moved cameras must reach.
 _SUSPICIOUS = 0.5
-# How much worse other lenses at the given poses may fit than moved cameras.
-_ABOUT_AS_WELL = 1.1
 
 
 @dataclass(frozen=True)
 class Settings(AgreementLimits, CalibrationPrior):
-    """Settings of the check and refinement, on ``frames`` spread over the clip.
-
-    Every other frame is the validation split: refined poses are kept when their median reprojection error there falls
-    by the share ``min_gain``. ``lens_change`` sets when lenses may change too.
-    """
+    """Settings of the check and refinement, on ``frames`` spread over the clip."""
 
     refine: bool = setting(
         True,
-        "Refine camera poses on people's keypoints; kept only if frames outside the fit improve.",
+        "Refine cameras on people's keypoints and the room; kept only if these require it.",
         paper="none; uncalibrated cameras",
         paper_value=False,
     )
     frames: int = 96
-    min_gain: float = 0.1
-    lens_change: LensSettings = LensSettings()
 
 
 @dataclass(frozen=True)
@@ -86,32 +72,34 @@ class Check:
         """The largest error that is allowed."""
         return self.settings.limit_px(self.given, self.points_m)
 
-    def moved_cameras(self, watched: Sequence[int], rooms: Sequence[RoomPicture | None]) -> MovedCameras | None:
-        """The cameras at new poses if some were moved after calibration; None where none was, or where another lens
-        explains people about as well."""
+    def estimate(
+        self, watched: Sequence[int], rooms: Sequence[RoomPicture | None]
+    ) -> tuple[CalibratedEstimate, list[Camera], Observations] | None:
+        """What people in the cameras ``watched`` and the room require, and all cameras and observations by that; None
+        where they show too little, or too little agrees with moved cameras."""
         settings = self.settings
         if not settings.refine:
             return None
+        allowed_px = _SUSPICIOUS * self.limit_px
         # The others still agree if one of them was knocked.
         alone = any(e is None and len(d.frame) for e, d in zip(self.per_camera_px, self.detections))
-        allowed = settings.gate_m, settings.min_gain, settings.limits, settings.bundle
-        before = np.nan if alone else self.median_px, _SUSPICIOUS * self.limit_px
-        found = relocalise(self.given, self.detections, watched, self.frames, *allowed, *before, rooms)
-        instead = found is not None and len(self.points_m) > 0 and self.lenses_explain(found.report["after_px"])
-        return None if instead else found
-
-    def lenses_explain(self, moved_px: float) -> bool:
-        """Whether other lenses at nearly the given poses explain people about as well as other poses, which leave
-        ``moved_px``: a zoom ring is easier to touch."""
-        limits, bundle = self.settings.limits, self.settings.bundle
-        fit_on, validation = split_alternate_frames(self.seen)
-        trial = fit_cameras(self.given, fit_on, limits, bundle)
-        if trial is None:
-            return False
-        about = limits, bundle, self.settings.lens_change
-        found = choose_lens_terms(trial.cameras, fit_on, validation, *about)
-        errors = [found[f"unseen_with_{name}_px"] for name in ("focal", "radial") if found[name]]
-        return bool(errors) and min(errors) <= _ABOUT_AS_WELL * moved_px
+        lost = alone or not self.median_px < allowed_px
+        found = estimate_calibrated(
+            [self.given[v] for v in watched],
+            [self.detections[v] for v in watched],
+            *(self.frames, settings.gate_m, settings.limits, settings.bundle, lost),
+            [rooms[v] for v in watched] if len(rooms) else (),
+        )
+        if found is None:
+            return None
+        px = error_medians(found.cameras, found.seen, settings.limits)[0]
+        if found.freedom == "moved" and not px < allowed_px:
+            return None
+        cameras, radial = list(self.given), np.zeros(len(self.given))
+        for v, camera, k1 in zip(watched, found.cameras, found.radial, strict=True):
+            cameras[v], radial[v] = camera, k1
+        straight = undistort_tracks(self.detections, cameras, radial)
+        return found, cameras, make_observations(straight, cameras, self.frames, settings.gate_m)[0]
 
     def refuse_conventions(self) -> list:
         """Scores of other readings of the calibration; raises UserError where one of them is right, or where
@@ -122,21 +110,20 @@ class Check:
             check_units(self.given, self.detections, few, settings.gate_m, settings.limits)
         return tried
 
-    def refuse_cameras(self, moved: MovedCameras | None) -> None:
-        """UserError where cameras were exchanged, one of them contradicts the others, or three never agree; ``moved``
-        ones are put right."""
-        settings, gate_m = self.settings, self.settings.gate_m
+    def refuse_cameras(self, moved_px: float) -> None:
+        """UserError where cameras were exchanged, one of them contradicts the others, or three never agree;
+        ``moved_px``: error of moved cameras that are put right, inf where none were moved."""
+        settings, gate_m, moved = self.settings, self.settings.gate_m, np.isfinite(moved_px)
         if not self.median_px < _SUSPICIOUS * self.limit_px:
-            moved_px = np.inf if moved is None else moved.report["after_px"]
             about = settings.limits, self.median_px, moved_px
             refuse_swapped(self.given, self.detections, self.frames, gate_m, *about)
-        doubtful = moved is not None or not len(self.points_m)
+        doubtful = moved or not len(self.points_m)
         if doubtful or any(e is None or e > self.limit_px for e in self.per_camera_px):
             odd = find_outlier_camera(self.given, self.detections, self.frames, gate_m, settings.limits)
             # A knocked camera and one with a cropped picture look the same; the former is corrected.
-            if odd is not None and (moved is None or (odd.cause and not odd.turned)):
+            if odd is not None and (not moved or (odd.cause and not odd.turned)):
                 raise UserError(odd.sentence())
-        if moved is None and len(self.given) > 2 and not len(self.points_m):
+        if not moved and len(self.given) > 2 and not len(self.points_m):
             share = contradicted_share(self.given, self.seen, self.detections, settings.limits)
             if share > _MAX_CONTRADICTED:
                 raise UserError(
@@ -144,9 +131,3 @@ class Check:
                     f"{share:.0%} of the cases a third camera contradicts two that agree; check that it is for "
                     "these cameras, and that the videos are synchronised"
                 )
-
-
-def split_alternate_frames(seen: Observations) -> tuple[Observations, Observations]:
-    """The observations of every other frame, to fit on, and those of the others, for validation."""
-    order = np.unique(seen.frame, return_inverse=True)[1]
-    return seen.of(order % 2 == 0), seen.of(order % 2 == 1)

@@ -46,7 +46,9 @@ _STABLE = [LAYOUTS[LAYOUT].index(name) for name in STABLE_KEYPOINTS]
 
 @dataclass(frozen=True)
 class Settings(refine.Settings):
-    """As for the training cameras."""
+    """As for the training cameras; another pose must lower the error of validation halves by the share ``min_gain``."""
+
+    min_gain: float = 0.1
 
 
 @dataclass(frozen=True)

@@ -13,24 +13,21 @@ import numpy as np
 from studiorecon.arrays import spread_indices
 from studiorecon.camera_files.calibration import read_calibration
 from studiorecon.camera_files.colmap import write_model
-from studiorecon.cameras.calibration_check import Check, Settings, split_alternate_frames
-from studiorecon.cameras.changes import changes_since_refinement, pose_and_lens_changes
-from studiorecon.cameras.edge_acceptance import apply_edge_refinement
-from studiorecon.cameras.floor_acceptance import apply_floor_refinement, keep_floor_level
+from studiorecon.cameras.calibration_check import Check, Settings
+from studiorecon.cameras.changes import estimate_report, log_changes
 from studiorecon.errors import UserError
+from studiorecon.estimate.factors.poses import ANKLE_HEIGHT_M
 from studiorecon.footage.video import read_frame
-from studiorecon.geometry.bundle import LensPrior, move_camera
+from studiorecon.geometry.bundle import move_camera
 from studiorecon.images.encoded import write_png
 from studiorecon.progress import say, warn
 from studiorecon.rig.active_cameras import active_cameras, inactive_camera_notes
-from studiorecon.rig.bundle import choose_lens_terms, error_medians, fit_cameras, remove_radial
+from studiorecon.rig.agreement import error_medians
 from studiorecon.rig.contact_sheet import contact_sheet
 from studiorecon.rig.correspondences import Observations, make_observations
-from studiorecon.rig.gravity import ANKLE_HEIGHT_M, check_tilt
+from studiorecon.rig.gravity import check_tilt
 from studiorecon.rig.human_size import check_human_size
-from studiorecon.rig.moved_cameras import MovedCameras, report_moved_cameras
 from studiorecon.rig.outlier_camera import warn_of_outlier_cameras
-from studiorecon.rig.pose_uncertainty import moved_rotation_interval_deg
 from studiorecon.rig.room_picture import RoomPicture, make_room_picture
 from studiorecon.scene.camera import Camera, Lens
 from studiorecon.scene.capture import Footage, read_manifest
@@ -93,17 +90,31 @@ def decide(
     seen, graph = make_observations(detections, training, chosen, settings.gate_m)
     medians = error_medians(training, seen, settings.limits)
     check = Check(training, detections, chosen, seen, graph, *medians, settings)
-    moved = check.moved_cameras(watched, rooms)
-    report["hypotheses"] = check.refuse_conventions() if moved is None else []
-    if moved is None and not len(seen.frame):
+    found = check.estimate(watched, rooms)
+    moved = found is not None and found[0].freedom == "moved"
+    report["hypotheses"] = [] if moved else check.refuse_conventions()
+    if not moved and not len(seen.frame):
         own = np.isin(graph.view, watched)
         return _nothing_agrees(training, held_out, graph.distance_m[np.ix_(own, own)], report, settings)
-    check.refuse_cameras(moved)
-    adjusted, seen, report = _adjust_cameras(check, moved, rooms, report)
+    adjusted, report = (
+        training,
+        {
+            **report,
+            "points": len(check.points_m),
+            "before_px": check.median_px if np.isfinite(check.median_px) else None,
+            "before_px_per_camera": check.per_camera_px,
+        },
+    )
+    if found is not None:
+        _, adjusted, seen = found
     after_px, per_camera_px, points = error_medians(adjusted, seen, settings.limits)
+    check.refuse_cameras(after_px if moved else np.inf)
+    if found is not None:
+        report |= estimate_report(
+            found[0], [training[v] for v in watched], [rooms[v] for v in watched] if len(rooms) else ()
+        )
+        log_changes(report)
     report |= {"after_px": after_px, "after_px_per_camera": per_camera_px}
-    if moved is not None:
-        report["changes"] = changes_since_refinement(training, adjusted, report)
     if after_px > check.limit_px:
         worst_px, worst = max((e, name) for e, name in zip(per_camera_px, names) if e is not None)
         raise UserError(
@@ -122,34 +133,6 @@ def decide(
     return Refinement(adjusted, held_out, points, report)
 
 
-def _adjust_cameras(
-    check: Check, moved: MovedCameras | None, rooms: Sequence[RoomPicture | None], report: dict[str, Any]
-) -> tuple[list[Camera], Observations, dict[str, Any]]:
-    """The cameras after all refinements, the observations of people by them, and the report."""
-    given, settings, count = check.given, check.settings, len(check.points_m)
-    limits, bundle = settings.limits, settings.bundle
-    before_px = check.median_px if np.isfinite(check.median_px) else None
-    cameras, seen = given, check.seen
-    if moved is not None:
-        between_deg = moved_rotation_interval_deg(moved, limits)
-        report_moved_cameras(given, moved, between_deg)
-        cameras, seen = moved.cameras, moved.seen
-        report = {**report, "moved_cameras": {**moved.report, "between_deg": between_deg}}
-    report |= {"points": count, "before_px": before_px, "before_px_per_camera": check.per_camera_px}
-    if settings.refine and len(given) > 2 and (count or moved):
-        cameras, seen, report = _try_refinement(cameras, seen, report, settings)
-    if moved is not None:
-        report |= {"refined": True, "reason": "the cameras have moved since calibration"}
-        return cameras, seen, report | {"unseen_before_px": before_px}
-    if settings.refine and len(rooms):
-        cameras, report = apply_edge_refinement(given, cameras, seen, rooms, report, limits, bundle)
-        if not report.get("edges", {}).get("believed"):
-            cameras, report = apply_floor_refinement(given, cameras, seen, rooms, report, limits, bundle)
-    if settings.refine:
-        cameras, report = keep_floor_level(given, cameras, seen, report, limits)
-    return cameras, seen, report
-
-
 def _given_cameras(training: list[Camera], held_out: list[Camera], report: dict[str, Any]) -> Refinement:
     warn("no person is visible in two cameras at once: the calibration is used as given, unchecked")
     return Refinement(training, held_out, np.zeros((0, 3)), {**report, "reason": "no person in two cameras"})
@@ -166,73 +149,6 @@ def _nothing_agrees(
         f"{settings.gate_m} m are allowed; check that the calibration is for these cameras, that its lengths are "
         "metres and that the videos are synchronised"
     )
-
-
-def _try_refinement(
-    training: list[Camera], seen: Observations, report: dict[str, Any], settings: Settings
-) -> tuple[list[Camera], Observations, dict[str, Any]]:
-    """The refined cameras if they clearly help, and the observations without their radial term, for the report.
-
-    Fitted on every other frame and judged on the rest; then fitted again on all frames.
-    """
-    limits, bundle, gain = settings.limits, settings.bundle, settings.min_gain
-    fit_on, validation = split_alternate_frames(seen)
-    trial = fit_cameras(training, fit_on, limits, bundle)
-    if trial is None:
-        return training, seen, {**report, "reason": "too few points in three cameras to refine"}
-    validation_before_px = error_medians(training, validation, limits)[0]
-    validation_after_px = error_medians(trial.cameras, validation, limits)[0]
-    report = {**report, "unseen_before_px": validation_before_px, "unseen_after_px": validation_after_px}
-    helps = validation_after_px < validation_before_px * (1 - gain)
-    best = trial.cameras if validation_after_px < validation_before_px else training
-    lens = choose_lens_terms(best, fit_on, validation, limits, bundle, settings.lens_change)
-    report["lens"] = lens
-    radial, focal = lens["radial"], lens["focal"] or lens["radial"]
-    if not (helps or focal):
-        say(
-            "the cameras stay unchanged: on frames outside the fit, refinement changed the median reprojection "
-            f"error from {validation_before_px:.2f} to {validation_after_px:.2f} px, less than the required {gain:.0%}"
-        )
-        return training, seen, {**report, "reason": "refinement did not clearly help"}
-    prior = LensPrior(
-        settings.lens_change.focal_sigma if focal else 0.0,
-        settings.lens_change.radial_sigma if radial else 0.0,
-    )
-    refined = fit_cameras(training, seen, limits, bundle, prior)
-    if refined is None:
-        return training, seen, {**report, "reason": "too few points in three cameras to refine"}
-    report |= {
-        "refined": True,
-        "reason": "refinement clearly helped",
-        "changes": pose_and_lens_changes(training, refined.cameras, refined.radial),
-    }
-    _log_changes(report, focal, radial)
-    return refined.cameras, remove_radial(seen, refined.cameras, refined.radial), report
-
-
-def _log_changes(report: dict[str, Any], focal: bool, radial: bool) -> None:
-    after = (
-        report["lens"]["unseen_with_radial_px" if radial else "unseen_with_focal_px"]
-        if focal
-        else report["unseen_after_px"]
-    )
-    changes = report["changes"]
-    say(
-        "the cameras were refined on people's keypoints: on frames outside the fit the median reprojection error "
-        f"fell from {report['unseen_before_px']:.2f} to {after:.2f} px; "
-        + ", ".join(f"{c['camera']} by {c['turned_deg']:.2f}° and {1000 * c['moved_m']:.0f} mm" for c in changes)
-    )
-    if focal:
-        say(
-            "keypoints show other focal lengths: "
-            + ", ".join(f"{c['camera']} {c['focal_longer']:+.1%}" for c in changes)
-        )
-    if radial:
-        found = ", ".join(f"{c['camera']}: {c['radial_k1']:.3f}" for c in changes)
-        say(
-            f"keypoints show another lens distortion than the calibration: set calibration.radial: {{{found}}} and "
-            "run again"
-        )
 
 
 def _move_to_floor(

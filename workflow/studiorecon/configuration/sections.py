@@ -51,8 +51,8 @@ SECTIONS: tuple[Section, ...] = (
         (
             "calibration.network:Settings",
             "calibration.files:Settings",
-            "rig.bundle:AgreementLimits",
-            "rig.bundle:CalibrationPrior",
+            "rig.agreement:AgreementLimits",
+            "rig.agreement:CalibrationPrior",
         ),
     ),
     Section(

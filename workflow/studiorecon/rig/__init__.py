@@ -23,12 +23,9 @@ Cameras from people alone
     ``metric_scale``      metres
     ``world_of_people``   the world from up, floor and metres
 Calibrated cameras
-    ``bundle``            refinement on people
-    ``moved_cameras``     cameras moved after calibration
-    ``pose_uncertainty``  what people determine about them
-    ``room_refinement``   refinement on floor and edges too
-    ``edge_refinement``   edges that contradict cameras that fit people
-    ``floor_alignment``   a level floor after refinement
+    ``agreement``         how well they agree with people
+    ``calibrated``        what people and the room require of them
+    ``room_evidence``     what the empty room shows of them
     ``held_out_pose``     held-out cameras
     ``hypotheses``        other readings of poses
     ``lens_model``        other readings of lenses

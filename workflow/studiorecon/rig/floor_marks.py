@@ -21,7 +21,6 @@ import scipy
 
 from studiorecon.arrays import require
 from studiorecon.geometry.statistics import peak_position
-from studiorecon.geometry.triangulation import Limits, triangulate, unit_px
 from studiorecon.images.channels import channel_sum
 from studiorecon.machine.threads import in_threads
 from studiorecon.rig.room_picture import RoomPicture
@@ -45,10 +44,8 @@ _MIN_EDGES = 0.04
 # One homography: within so many cells, for so many patches and such a share of them, spread over so much of the floor.
 # Unrelated floors: 9 to 19 patches match, 32 to 65 % of all matches. The same floor: hundreds, 75 % or more.
 _SAME_PLACES, _MIN_PATCHES, _MIN_SHARE, _MIN_SPREAD_M = 2.0, 20, 0.7, 0.25
-# Sigma of a match, as a share of a cell; error of unmodelled lenses, as a share of the longer side; weight of one
-# patch, because patches overlap and are matched from several cameras.
-_SHARP, _LENS_SHARE, _ALONE = 0.4, 0.001, 0.1
-_LOOSE = 3.0
+# Sigma of a match, as a share of a cell; error of unmodelled lenses, as a share of the longer side.
+_SHARP, _LENS_SHARE = 0.4, 0.001
 # Largest distance of a match from the coarse alignment.
 _BEYOND_M = 0.06
 
@@ -72,35 +69,6 @@ class FloorMarks:
     def of(self, which: Bool[np.ndarray, " N"]) -> FloorMarks:
         """The chosen points."""
         return replace(self, pixels=self.pixels[:, which], points_m=self.points_m[which])
-
-    def joined(
-        self,
-        pixels: Num[np.ndarray, "V N 2"],
-        weights: Num[np.ndarray, "V N"],
-        points_m: Num[np.ndarray, "N 3"],
-        cameras: Sequence[Camera],
-        limits: Limits,
-    ) -> tuple[Num[np.ndarray, "V M 2"], Num[np.ndarray, "V M"], Num[np.ndarray, "M 3"]]:
-        """``pixels``, ``weights`` and ``points_m`` for bundle adjustment, with the floor's points appended.
-
-        Residuals are in error units. Only points on which the cameras agree are
-        appended; the result does not depend on the world's axes.
-        """
-        seen = np.isfinite(self.pixels).all(-1).astype(float)
-        found = triangulate(self.pixels, seen, cameras, replace(limits, outlier_units=limits.outlier_units * _LOOSE))
-        weight = found.inliers * (_ALONE * (unit_px(cameras, limits) / self.sigma_px) ** 2)[:, None]
-        return (
-            np.concatenate([pixels, self.pixels[:, found.valid]], axis=1),
-            np.concatenate([weights, weight[:, found.valid]], axis=1),
-            np.concatenate([points_m, found.points_m[found.valid]]),
-        )
-
-    def error_sigmas(self, cameras: Sequence[Camera], limits: Limits) -> float:
-        """Median reprojection error of the points, in sigmas."""
-        seen = np.isfinite(self.pixels).all(-1).astype(float)
-        wide = replace(limits, outlier_units=limits.outlier_units * _LOOSE)
-        error = triangulate(self.pixels, seen, cameras, wide).error_px / self.sigma_px[:, None]
-        return float(np.median(error[np.isfinite(error)])) if np.isfinite(error).any() else float("inf")
 
 
 @dataclass(frozen=True)

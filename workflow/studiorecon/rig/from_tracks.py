@@ -15,7 +15,9 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from studiorecon.geometry.bundle import BundleResult, BundleSettings, LensPrior, adjust_with_lenses
+from studiorecon.estimate.factors.keypoints import keypoint_factor
+from studiorecon.estimate.solver import solve
+from studiorecon.estimate.unknowns import LOG_FOCAL, PER_CAMERA, Unknowns
 from studiorecon.geometry.relative_pose import (
     essential_matrix,
     is_in_front,
@@ -45,8 +47,8 @@ MIN_SHARED = 60
 # together with the right pairs of all others.
 _AGREE = 0.6
 _LOOSE = 3.0
-_FREE = BundleSettings(iterations=30, prior_deg=20.0, prior_m=2.0)
-_CELL_M = 0.2
+# Steps of an adjustment: people are grouped again, and adjusted once more, after it.
+_ITERATIONS = 8
 _UNSCALED_GATE = 0.1
 
 
@@ -121,20 +123,26 @@ def propose_rigs(
     return sorted(grown, key=lambda r: (-len(r.cameras), -r.support))
 
 
-def _adjust_rig(rig: Rig, limits: Limits) -> tuple[BundleResult, Bool[np.ndarray, " N"]]:
-    """The rig's cameras (ascending view) with better poses, and which points determined them; lenses are guesses yet.
+def _adjust_rig(rig: Rig, limits: Limits) -> tuple[list[Camera], Num[np.ndarray, "N 3"]]:
+    """The rig's cameras (ascending view) with better poses, and its points, NaN where they did not determine them.
 
-    A detector's error of a joint is the same for similar views of the body, so observations are weighted by the number
-    of cells of 20 cm in which a joint was seen: a person who does not move is one observation.
+    Lenses are guesses yet, and only relative errors matter.
     """
-    cameras, used, found = [rig.cameras[v] for v in sorted(rig.cameras)], rig.agreeing, rig.points
-    cells = np.floor(found.points_m[used] / _CELL_M).astype(int)
-    key = np.concatenate([rig.seen.group[used, None], rig.seen.keypoint[used, None], cells], axis=1)
-    share = len(np.unique(key, axis=0)) / max(int(used.sum()), 1)
-    weights = np.where(found.inliers, rig.seen.confidence, 0.0)[:, used] * share
-    unit, held = unit_px(cameras, limits), LensPrior(0.0, 0.0)
-    result = adjust_with_lenses(cameras, rig.seen.pixels[:, used], weights, found.points_m[used], unit, _FREE, held)
-    return result, used
+    cameras, used = [rig.cameras[v] for v in sorted(rig.cameras)], rig.agreeing
+    view, point = np.nonzero(rig.points.inliers[:, used])
+    seen = rig.seen.of(used)
+    sigma_px = unit_px(cameras, limits)[view] / np.sqrt(seen.confidence[view, point])
+    start = Unknowns.of(cameras, np.zeros(len(cameras)), rig.points.points_m[used])
+    aspect = np.array([c.focal_px[1] / c.focal_px[0] for c in cameras])
+    free = np.ones(len(start.values), bool)
+    numbers = free[: PER_CAMERA * len(cameras)].reshape(-1, PER_CAMERA)
+    # The world is the first camera's.
+    numbers[0], numbers[:, LOG_FOCAL:] = False, False
+    factor = keypoint_factor(start, view, point, seen.pixels[view, point], sigma_px, aspect)
+    found = solve(start, [factor], free, _ITERATIONS).unknowns
+    points_m = np.full_like(rig.points.points_m, np.nan)
+    points_m[used] = found.group("points", 3 * int(used.sum())).reshape(-1, 3)
+    return [found.camera(c, v) for v, c in enumerate(cameras)], points_m
 
 
 def bone_factor(
@@ -287,13 +295,11 @@ def _refined_rig(
         rig = Rig(dict(current), found, points, int(points.inliers[:, counted].sum()))
         if round_number == 2:
             break
-        better, used = _adjust_rig(rig, limits)
-        all_points = np.full_like(points.points_m, np.nan)
-        all_points[used] = better.points_m
-        factor = bone_factor(all_points, points, found, template_m)
+        better, points_m = _adjust_rig(rig, limits)
+        factor = bone_factor(points_m, points, found, template_m)
         if factor is None:
             return None
-        current = {v: scale_camera(c, factor) for v, c in zip(views, better.cameras)}
+        current = {v: scale_camera(c, factor) for v, c in zip(views, better)}
     return rig
 
 

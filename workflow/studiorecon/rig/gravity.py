@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from studiorecon.estimate.factors.poses import ANKLE_HEIGHT_M
 from studiorecon.geometry.triangulation import Limits, triangulate
 from studiorecon.keypoints.correspondence import ANKLES, SHOULDERS, STABLE_KEYPOINTS
 from studiorecon.progress import warn
@@ -17,8 +18,6 @@ from studiorecon.scene.camera import Camera
 if TYPE_CHECKING:
     from jaxtyping import Bool, Num
 
-# Height of ankles above the floor.
-ANKLE_HEIGHT_M = 0.08
 # Feet in an area narrower than this do not determine the floor's slope.
 _MIN_FLOOR_M = 0.25
 _MAX_TILT_DEG = 12.0

@@ -20,7 +20,7 @@ from studiorecon.geometry.relative_pose import resection
 from studiorecon.geometry.rotations import exp, log
 from studiorecon.geometry.triangulation import Limits, unit_px
 from studiorecon.keypoints.correspondence import STABLE_KEYPOINTS
-from studiorecon.rig.moved_cameras import FREE_DEG, FREE_M, FURTHEST_DEG, FURTHEST_M, pose_changes
+from studiorecon.rig.calibrated import FREE_DEG, FREE_M, FURTHEST_DEG, FURTHEST_M, pose_changes
 from studiorecon.scene.camera import Camera
 
 if TYPE_CHECKING:

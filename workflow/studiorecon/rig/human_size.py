@@ -19,7 +19,7 @@ from studiorecon.scene.people import Detections
 if TYPE_CHECKING:
     from jaxtyping import Integer, Num
 
-# Stature and lengths of bones between keypoints of a mean adult, metres: the same as in ``rig.moved_cameras``.
+# Stature and lengths of bones between keypoints of a mean adult, metres.
 _ADULT_M = 1.70
 _BONES = {("shoulder", "hip"): 0.52, ("hip", "knee"): 0.42, ("knee", "ankle"): 0.41}
 # A toddler, and the tallest person on record, with a margin of a third: bones of few keypoints are short or long.

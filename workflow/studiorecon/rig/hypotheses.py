@@ -12,7 +12,7 @@ import numpy as np
 
 from studiorecon.errors import UserError
 from studiorecon.geometry.triangulation import Limits, triangulate
-from studiorecon.rig.bundle import error_medians
+from studiorecon.rig.agreement import error_medians
 from studiorecon.rig.correspondences import make_observations
 from studiorecon.rig.human_size import ADULTS_M, statures_m
 from studiorecon.rig.lens_model import LensReading

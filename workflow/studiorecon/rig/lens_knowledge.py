@@ -24,12 +24,20 @@ _USUAL_HFOV_DEG = 65.0
 
 @dataclass(frozen=True)
 class LensKnowledge:
-    """Prior of V lenses: ``expected`` and ``sigma`` (V, 4) of log focal length, k1 and principal point. Cameras with
-    equal ``makes`` have similar lenses."""
+    """Prior of V cameras.
+
+    Attributes:
+        expected, sigma: log focal length, k1 and principal point.
+        makes: cameras with equal ones have similar lenses.
+        given: cameras at their calibrated poses in a world whose floor is z = 0; empty without a calibration.
+        pose_sigma: standard deviations of turns (rad) and moves (m) from there.
+    """
 
     expected: Num[np.ndarray, "V 4"]
     sigma: Num[np.ndarray, "V 4"]
     makes: tuple[object, ...]
+    given: tuple[Camera, ...] = ()
+    pose_sigma: Num[np.ndarray, "V 6"] | None = None
 
 
 def lens_knowledge(
@@ -52,10 +60,14 @@ def lens_knowledge(
     return LensKnowledge(np.array(expected), np.array(sigma), tuple(makes))
 
 
-def fixed_lenses(cameras: Sequence[Camera]) -> LensKnowledge:
-    """The prior that keeps calibrated lenses unchanged."""
+def calibrated(
+    cameras: Sequence[Camera], turn_deg: float, move_m: float, focal: float = 0.0, radial: float = 0.0
+) -> LensKnowledge:
+    """The prior of calibrated cameras with standard deviations of turns, moves, log focal lengths and k1."""
     expected = [[np.log(c.focal_px[0]), 0.0, *c.principal_px] for c in cameras]
-    return LensKnowledge(np.array(expected), np.zeros((len(cameras), 4)), tuple(c.name for c in cameras))
+    sigma = np.tile([focal, radial, 0.0, 0.0], (len(cameras), 1))
+    poses = np.tile([*3 * [np.radians(turn_deg)], *3 * [move_m]], (len(cameras), 1))
+    return LensKnowledge(np.array(expected), sigma, tuple(c.name for c in cameras), tuple(cameras), poses)
 
 
 def distort_marks(marks: FloorMarks, cameras: Sequence[Camera], radial: Num[np.ndarray, " V"]) -> FloorMarks:

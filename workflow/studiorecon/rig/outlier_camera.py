@@ -18,7 +18,7 @@ from studiorecon.geometry.triangulation import Limits, triangulate
 from studiorecon.keypoints.coordinate_readings import affine, apply_reading, size_readings, turned_readings
 from studiorecon.keypoints.correspondence import STABLE_KEYPOINTS, stable_detections
 from studiorecon.progress import warn
-from studiorecon.rig.bundle import contradicted_share
+from studiorecon.rig.agreement import contradicted_share
 from studiorecon.rig.correspondences import Observations, make_observations
 from studiorecon.rig.human_size import UNITS_PER_METRE
 from studiorecon.rig.hypotheses import POSE_READINGS, scaled_pose

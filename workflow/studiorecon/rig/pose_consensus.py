@@ -19,8 +19,8 @@ from studiorecon.arrays import spread_indices
 from studiorecon.geometry.bundle import remove_drift
 from studiorecon.geometry.rotations import angle
 from studiorecon.geometry.triangulation import Limits
+from studiorecon.rig.calibrated import pose_changes
 from studiorecon.rig.from_tracks import Rig, Sightings, dense_tracks, propose_rigs
-from studiorecon.rig.moved_cameras import pose_changes
 from studiorecon.scene.camera import Camera
 from studiorecon.scene.people import Detections
 

@@ -19,7 +19,7 @@ from studiorecon.errors import UserError
 from studiorecon.geometry.camera_path import scene_centre
 from studiorecon.geometry.triangulation import Limits
 from studiorecon.rig.active_cameras import active_cameras, inactive_camera_notes, shared_frames
-from studiorecon.rig.bundle import AgreementLimits, CalibrationPrior, error_medians, metres_per_px
+from studiorecon.rig.agreement import AgreementLimits, CalibrationPrior, error_medians, metres_per_px
 from studiorecon.rig.correspondences import Observations, make_observations
 from studiorecon.rig.human_size import check_human_size, check_units
 from studiorecon.rig.hypotheses import best_swap, score_conventions, score_lens_model
@@ -93,7 +93,7 @@ def examine(
         "median_px": fit.median_px,
         "median_mm": fit.median_mm(cameras),
         "refined": None if refined is None else refined.as_json(cameras),
-        "edges": compare_edges(cameras, refined, fit.seen, rooms, settings.limits, settings.bundle),
+        "edges": compare_edges(cameras, refined, rooms),
         "px_per_camera": dict(zip(names, fit.per_camera_px)),
         "shown_frame": shown,
         "sync": dict(sync or {"sentences": [], "refusal": "", "lags_frames": {}}),

@@ -17,7 +17,7 @@ if TYPE_CHECKING:
 
 # Standard deviations in degrees: of one edge, and of a direction, because walls and furniture are square to about this:
 # a real room's edges differed from a motion-capture system's calibration by as much, camera for camera.
-EDGE_DEG, SQUARE_DEG = 0.6, 0.3
+EDGE_DEG, SQUARE_DEG = 0.6, 0.4
 # Some edges run along no wall.
 _FREEDOM = 2.0
 # Each doubles the digits: eight end at rounding wherever a lens has a ray.
