@@ -3,7 +3,7 @@
 
     python -m benchmarks.hands results/SCENE [results/SCENE …]
     python -m benchmarks.hands exchanged       # left and right hand in four times 1,000 made frames of four cameras
-    python -m benchmarks.hands cost results/SCENE DATASET
+    python -m benchmarks.hands cost results/SCENE DATASET [blazepose]
 
 The last one detects people in the videos of DATASET again, with and without hands. Seconds are of processor time.
 """
@@ -89,16 +89,16 @@ def constancy(points_m: np.ndarray, bones: np.ndarray) -> str:
     return f"± {np.median(spread_mm):.1f} mm, at worst {np.max(spread_mm):.1f} mm"
 
 
-def cost(results: Path, dataset: Path) -> str:
+def cost(results: Path, dataset: Path, detector: str = "blazepose_heavy") -> str:
     """What the search for hands adds to the detection of people."""
     people_s = hands_s = 0.0
     with tempfile.TemporaryDirectory() as folder:
         for about in read_manifest(results / "capture/manifest.json").footage:
             if about.held_out:
                 continue
-            about_film = results, about.camera, dataset / about.source, Path(folder), "blazepose_heavy"
+            about_film = results, about.camera, dataset / about.source, Path(folder), detector
             began_s = time.process_time()
-            find_people(about.camera, dataset / about.source, "blazepose_heavy", Path(folder) / "found.npz")
+            find_people(about.camera, dataset / about.source, detector, Path(folder) / "found.npz")
             found_s = time.process_time()
             look_again(*about_film, hands="off")
             bare_s = time.process_time()
@@ -216,6 +216,6 @@ if __name__ == "__main__":
         print(*(exchanged(body, seed) for seed in (5, 6, 7, 8)), sep="\n")
         sys.exit()
     if sys.argv[1] == "cost":
-        print(cost(Path(sys.argv[2]), Path(sys.argv[3])))
+        print(cost(Path(sys.argv[2]), Path(sys.argv[3]), *sys.argv[4:]))
         sys.exit()
     print("\n".join(line for folder in sys.argv[1:] for line in rows(Path(folder))))
