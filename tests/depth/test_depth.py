@@ -171,7 +171,7 @@ def test_yaw_of_the_walls_is_found_with_and_without_lines() -> None:
         yaw_rad, support = wall_yaw(cameras, [p.rgb for p in pictures], [p.known for p in pictures])
         assert (support > 0.12) == lines
         if not lines:
-            yaw_rad = match_yaw(pictures, 0.0, 6.0, 0.3, 14.0)
+            yaw_rad = match_yaw(pictures, 0.0, 6.0, Matching())
         assert abs((np.degrees(yaw_rad - 0.35) + 45) % 90 - 45) < tolerance_deg
 
 
@@ -226,7 +226,7 @@ def test_a_floor_with_too_few_voters_is_a_default_and_its_file_is_read(
 ) -> None:
     room, cameras, floor = made_room(), ring(wh=(96, 54)), np.array([[0.0, 0.0, 1.0, 0.0]])
     pictures = [Picture(c, photograph(room, c)[0], np.ones(c.hw, bool)) for c in cameras]
-    near = [(p.depth(floor[0], 0.3, 14.0) > 0) & (p.depth(floor[0], 0.3, 14.0) < 4.0) for p in pictures]
+    near = [(p.depth(floor[0], Matching()) > 0) & (p.depth(floor[0], Matching()) < 4.0) for p in pictures]
     votes = Votes(floor, [np.zeros(c.hw, int) for c in cameras], near)
     settings = load(walls.Settings, default_settings("depth"), "depth")
     for wall_votes, enough in ((0.004, True), (1.1, False)):

@@ -89,7 +89,7 @@ def test_a_primitive_stands_before_what_is_behind_it_and_before_the_unknown() ->
 
 def test_the_true_primitive_is_worth_most_and_gains_are_what_adding_brings() -> None:
     room = made_room()
-    seen = PhotoCostVolume.of_empty_room(looks(room), room.room_box, 5, 1.5)
+    seen = PhotoCostVolume(looks(room), room.room_box, 5, 1.5)
     true = cupboard(room).numbers
     beside, larger, thin_air = true.copy(), true.copy(), true.copy()
     beside[0] += 0.4
@@ -130,17 +130,17 @@ def test_what_only_hides_a_floor_in_the_wrong_place_is_contradicted() -> None:
     photos better."""
     room = made_room(table=False)
     too_high = replace(room.room_box, low_m=room.room_box.low_m + np.array([0, 0, 0.4]))
-    seen = PhotoCostVolume.of_empty_room(looks(room), too_high, 5, 1.5)
+    seen = PhotoCostVolume(looks(room), too_high, 5, 1.5, looks=False)
     rng = np.random.default_rng(0)
     upright = np.array([[*rng.uniform(-1, 1, 2), 0, 1.2, 0.1, 0.5, 0.9] for _ in range(40)])
-    hiding = upright[seen.gains(upright, looks=False) > 100]
+    hiding = upright[seen.gains(upright) > 100]
     assert len(hiding) > 10, "they explain the photos better"
     assert np.mean([seen.is_contradicted(one) for one in hiding]) > 0.9
 
 
 def test_what_is_there_is_not_contradicted() -> None:
     room = made_room()
-    seen = PhotoCostVolume.of_empty_room(looks(room), room.room_box, 5, 1.5)
+    seen = PhotoCostVolume(looks(room), room.room_box, 5, 1.5)
     moved = cupboard(room).numbers + np.array([0.08, -0.08, 0, 0, 0, 0, 0])
     assert not seen.is_contradicted(cupboard(room).numbers)
     assert not seen.is_contradicted(moved), "nor when it is some centimetres beside"

@@ -30,7 +30,7 @@ def run(kernels: Written) -> None:
     low_m = np.array([-_HALF_ROOM_M, -_HALF_ROOM_M, 0.0])
     bare = RoomBox(0.0, low_m, np.array([_HALF_ROOM_M, _HALF_ROOM_M, _HEIGHT_M]), np.ones(6, bool), np.full(6, np.nan))
     primitive = np.array([0, 0, 0, 0.5, 0.5, 0, 1.0])
-    room = PhotoCostVolume.of_empty_room(pictures, bare, settings.refine_window, settings.mean_weight)
+    room = PhotoCostVolume(pictures, bare, settings.refine_window, settings.mean_weight)
     is_allowed(primitive[None], bare, append_distance(room.centre, 0.0))
     room.gains(primitive[None])
     room.add(primitive)

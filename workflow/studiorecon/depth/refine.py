@@ -182,7 +182,7 @@ def run(
     room, furniture = read_room(room_box, names), read_primitives(primitives)
     gains = np.stack([room.gains[name] for name in names])
     pictures = equalise_exposure(read_pictures(cameras, plates, settings.refine_width), gains)
-    volume = PhotoCostVolume.of_empty_room(pictures, room, settings.refine_window, settings.mean_weight, looks=False)
+    volume = PhotoCostVolume(pictures, room, settings.refine_window, settings.mean_weight, looks=False)
     hw, whole = pictures[index].camera.hw, cameras[index]
     box, face = volume.nearest(index, hw)
     fitted = np.append(room.fitted, False)[face]

@@ -66,11 +66,11 @@ def best_costs(
     pictures: list[Picture], index: int, planes: Float[np.ndarray, "L 4"], settings: Settings
 ) -> Float[np.ndarray, "H W L"]:
     """Float32 cost of every plane in one picture: 1 - agreement with the camera that agrees best."""
-    picture, how = pictures[index], (settings.window, settings.mean_weight, settings.near_m, settings.far_m)
+    picture = pictures[index]
     cost = np.full((*picture.known.shape, len(planes)), IMPOSSIBLE, np.float32)
     for k, plane in enumerate(progress(planes, f"planes seen by {picture.camera.name}")):
-        seen = picture.depth(plane, settings.near_m, settings.far_m) > 0
-        best = best_score(pictures, index, plane, *how)
+        seen = picture.depth(plane, settings) > 0
+        best = best_score(pictures, index, plane, settings)
         cost[..., k] = np.where(seen, np.where(best > UNKNOWN, np.clip(1 - best, 0, 1.2), UNJUDGED), IMPOSSIBLE)
     return cost
 
@@ -81,7 +81,7 @@ def run(settings: Settings, camera: str, model: Path, plates: list[Path], sweep:
     names = [c.name for c in cameras]
     camera_named(cameras, camera, model)
     pictures = read_pictures(cameras, plates, settings.sweep_width)
-    floor_m, gains, pairs = floor_and_gains(pictures, settings.window, settings.near_m, settings.far_m)
+    floor_m, gains, pairs = floor_and_gains(pictures, settings)
     pictures = equalise_exposure(pictures, gains)
     index = names.index(camera)
     say(
@@ -90,7 +90,7 @@ def run(settings: Settings, camera: str, model: Path, plates: list[Path], sweep:
     )
     yaw_rad, support = wall_yaw([p.camera for p in pictures], [p.rgb for p in pictures], [p.known for p in pictures])
     if support < _MIN_YAW_SUPPORT:
-        yaw_rad = match_yaw(pictures, floor_m, settings.reach_m, settings.near_m, settings.far_m)
+        yaw_rad = match_yaw(pictures, floor_m, settings.reach_m, settings)
         say(
             f"straight lines have no common direction (support {support:.2f}): walls at {np.degrees(yaw_rad):.0f}° and "
             "perpendicular to it match best"

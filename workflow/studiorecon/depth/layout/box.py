@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from functools import cache
 from operator import itemgetter
 from typing import TYPE_CHECKING
@@ -45,7 +46,7 @@ def plane_support(
         for j, other in enumerate(pictures):
             if i == j:
                 continue
-            score = picture.score(other, plane, how.window, how.mean_weight, how.near_m, how.far_m)[voters[i]]
+            score = picture.score(other, plane, how)[voters[i]]
             score = score[score > _SAME_SURFACE]
             total, count = total + float(score.sum(dtype=np.float64)), count + len(score)
     return total / max(count, 1), count
@@ -82,8 +83,7 @@ def offset_of_turned_plane(
 ) -> float:
     """Offset of a plane that is turned to ``normal`` about the middle of the surface that its voters see."""
     per_picture = [
-        p.camera.unproject(p.camera.pixel_centres(), p.depth(plane, how.near_m, how.far_m))[v]
-        for p, v in zip(pictures, voters)
+        p.camera.unproject(p.camera.pixel_centres(), p.depth(plane, how))[v] for p, v in zip(pictures, voters)
     ]
     points = np.concatenate(per_picture)
     return float(np.median(points, axis=0) @ normal) if len(points) else float(plane[3])
@@ -132,13 +132,13 @@ def choose_faces(
     pixels vote for it, would hide the floor and the walls that the photos match behind it. A striped wallpaper matches
     itself one period further, but not in a window wide enough for a picture or a door frame.
     """
-    window = 2 * (max(p.camera.wh[0] for p in pictures) // _WIDE_SHARE) + 1
+    wide = replace(how, window=2 * (max(p.camera.wh[0] for p in pictures) // _WIDE_SHARE) + 1)
     rays, every = [p.camera.rays() for p in pictures], range(len(pictures))
 
     @cache
     def cost(face: int, offset: float) -> list[Float[np.ndarray, "H W"]]:
         plane = np.array([*bare.axes[face // 2], offset])
-        best = [best_score(pictures, i, plane, window, how.mean_weight, how.near_m, how.far_m) for i in every]
+        best = [best_score(pictures, i, plane, wide) for i in every]
         return [np.where(b > UNKNOWN, _EVEN_SCORE - np.maximum(b, _LEAST_SCORE), 0) for b in best]
 
     def total(placed: Mapping[int, float]) -> float:

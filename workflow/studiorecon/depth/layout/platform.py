@@ -12,7 +12,7 @@ outside the area of agreement, and must be large in comparison.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
 import cv2
@@ -130,7 +130,7 @@ def _mismatch_share(pictures: Sequence[Picture], standing_m: float, how: Matchin
 
 def _score(picture: Picture, other: Picture, height_m: float, how: Matching) -> Float[np.ndarray, "H W"]:
     plane = np.array([0.0, 0.0, 1.0, height_m])
-    return picture.score(other, plane, how.window + 2, 0.0, how.near_m, how.far_m)
+    return picture.score(other, plane, replace(how, window=how.window + 2, mean_weight=0.0))
 
 
 @dataclass(frozen=True)
@@ -171,7 +171,7 @@ def _height_votes(pictures: Sequence[Picture], standing_m: float, how: Matching)
     for i, picture in enumerate(pictures):
         centre, centres = picture.camera.centre_m, picture.camera.pixel_centres()
         # Only rays that point down meet heights below the camera.
-        usable = picture.known & picture.textured(how.window + 2) & (picture.depth(plane, how.near_m, how.far_m) > 0)
+        usable = picture.known & picture.textured(how.window + 2) & (picture.depth(plane, how) > 0)
         rays = picture.camera.unproject(centres, np.ones(usable.shape)) - centre
         theirs = [pair for (first, _), pair in pairs.items() if first == i]
         if not theirs:

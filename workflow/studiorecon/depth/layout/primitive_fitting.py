@@ -36,33 +36,12 @@ _REFUSED_M = 0.25
 def neighbour_primitives(primitive: Float[np.ndarray, " 7"], step_m: float, turns: bool) -> Float[np.ndarray, "M 7"]:
     """Neighbours of a primitive: every face moved in or out, the whole moved, and turned if allowed."""
     c, s = np.cos(primitive[2]), np.sin(primitive[2])
-    found = []
-
-    def moved(
-        du: float = 0.0,
-        dv: float = 0.0,
-        du_size: float = 0.0,
-        dv_size: float = 0.0,
-        turn: float = 0.0,
-        low: float = 0.0,
-        high: float = 0.0,
-    ) -> None:
-        other = primitive.copy()
-        other += (c * du - s * dv, s * du + c * dv, turn, du_size, dv_size, low, high)
-        found.append(other)
-
-    for step in (step_m, -step_m):
-        moved(du=step)
-        moved(dv=step)
-        moved(high=step)
-        moved(low=step)
-        moved(low=step, high=step)
-        for side in (-0.5, 0.5):
-            moved(du=side * step, du_size=step)
-            moved(dv=side * step, dv_size=step)
-        if turns:
-            moved(turn=step / max(np.hypot(primitive[3], primitive[4]) / 2, 0.2))
-    return np.array(found)
+    turn = 1 / max(np.hypot(primitive[3], primitive[4]) / 2, 0.2)
+    along, across = np.array([c, s, 0, 0, 0, 0, 0]), np.array([-s, c, 0, 0, 0, 0, 0])
+    longer, wider, low, high = np.eye(7)[3:]
+    ways = [along, across, high, low, low + high, turn * np.eye(7)[2] * turns]
+    ways += [size + side * shift for side in (-0.5, 0.5) for size, shift in ((longer, along), (wider, across))]
+    return primitive + np.concatenate([step_m * np.array(ways), -step_m * np.array(ways)])
 
 
 def is_allowed(
@@ -215,7 +194,7 @@ def fit_primitives(
     No primitive may contain a camera or one of ``free_m`` (M, 4: points and distances to keep), where people were seen.
     The platform comes first. Costs some 10 s for four pictures 160 pixels wide.
     """
-    room = PhotoCostVolume.of_empty_room(pictures, room_box, window, mean_weight)
+    room = PhotoCostVolume(pictures, room_box, window, mean_weight)
     evidence: list[float] = []
     if room_box.platform is not None:
         platform = _platform_box(room_box.platform, room_box)

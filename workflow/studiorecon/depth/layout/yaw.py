@@ -10,6 +10,7 @@ import numpy as np
 
 from studiorecon.depth.stereo.planes import rig_centre
 from studiorecon.depth.stereo.plates import Picture, best_score
+from studiorecon.depth.sweep_settings import Matching
 from studiorecon.footage.stills import shrink_plate
 
 # Coarse pictures suffice: a wall 4° off is 20 cm off three metres along, some two pixels at this width.
@@ -21,7 +22,7 @@ _SPEAKS = 0.7
 _COARSE_RAD, _FINE_RAD = np.radians(7.5), np.radians(1.5)
 
 
-def match_yaw(pictures: Sequence[Picture], floor_m: float, reach_m: float, near_m: float, far_m: float) -> float:
+def match_yaw(pictures: Sequence[Picture], floor_m: float, reach_m: float, how: Matching) -> float:
     """Yaw in [0, pi/2) at which walls along it and across it explain most pixels above the floor; 0 when none match.
 
     First every 7.5°, then every 1.5° around the best. Costs some seconds; ``wall_yaw`` needs none when there are lines.
@@ -30,7 +31,8 @@ def match_yaw(pictures: Sequence[Picture], floor_m: float, reach_m: float, near_
         return 0.0
     small = [_shrink(picture) for picture in pictures]
     floor = np.array([0.0, 0.0, 1.0, floor_m])
-    floor_scores = [_best_score(small, i, floor, near_m, far_m) for i in range(len(small))]
+    how = replace(how, window=_WINDOW, mean_weight=1.0)
+    floor_scores = [best_score(small, i, floor, how) for i in range(len(small))]
     explained: dict[int, list[np.ndarray]] = {}
 
     def support(yaw_rad: float) -> float:
@@ -39,7 +41,7 @@ def match_yaw(pictures: Sequence[Picture], floor_m: float, reach_m: float, near_
         for turn in (0.0, np.pi / 2):
             key = round(np.degrees((yaw_rad + turn) % np.pi) * 2)
             if key not in explained:
-                explained[key] = _best_agreement(small, np.radians(key / 2), reach_m, near_m, far_m)
+                explained[key] = _best_agreement(small, np.radians(key / 2), reach_m, how)
             walls.append(explained[key])
         for one, across, below in zip(*walls, floor_scores):
             # Only pixels that the floor does not explain as well.
@@ -62,14 +64,7 @@ def _shrink(picture: Picture) -> Picture:
     return replace(picture, camera=picture.camera.resized(wh), rgb=np.ascontiguousarray(rgb, np.float32), known=known)
 
 
-def _best_score(pictures: Sequence[Picture], index: int, plane: np.ndarray, near_m: float, far_m: float) -> np.ndarray:
-    """(H, W) best agreement of one picture with any other through a plane; -1 for none."""
-    return np.maximum(best_score(pictures, index, plane, _WINDOW, 1.0, near_m, far_m), np.float32(-1))
-
-
-def _best_agreement(
-    pictures: Sequence[Picture], yaw_rad: float, reach_m: float, near_m: float, far_m: float
-) -> list[np.ndarray]:
+def _best_agreement(pictures: Sequence[Picture], yaw_rad: float, reach_m: float, how: Matching) -> list[np.ndarray]:
     """Per picture (H, W) best agreement through any upright plane with this normal outside the cameras."""
     normal = np.array([np.cos(yaw_rad), np.sin(yaw_rad), 0.0])
     middle = normal @ rig_centre([p.camera for p in pictures])
@@ -80,5 +75,5 @@ def _best_agreement(
     best = [np.full(p.known.shape, -1, np.float32) for p in pictures]
     for offset in offsets:
         plane = np.array([*normal, offset])
-        best = [np.maximum(b, _best_score(pictures, i, plane, near_m, far_m)) for i, b in enumerate(best)]
+        best = [np.maximum(b, best_score(pictures, i, plane, how)) for i, b in enumerate(best)]
     return best

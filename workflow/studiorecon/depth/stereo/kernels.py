@@ -107,13 +107,15 @@ def is_hidden(depth, o, flat, z):
 
 
 @njit(cache=True, parallel=True)
-def explain_all(lens, pose, centre, rgb, known, depth, surface, pair, at, z, cost, judge_count, half, mean_weight):
-    """Fill the costs of the surfaces: ``pair``, ``at``, ``z``, ``cost``, ``judge_count`` (``PhotoCostVolume``)."""
+def explain_all(lens, pose, centre, rgb, known, depth, surface, half, mean_weight):
+    """Costs of the surfaces: ``pair``, ``at``, ``z``, ``cost``, ``view_count`` (``PhotoCostVolume``)."""
     views, height, width = known.shape
+    pair = np.full((views, views, height, width), -1, np.float32)
+    at, z = np.zeros(pair.shape, np.int32), np.zeros(pair.shape, np.float32)
+    cost, view_count = np.zeros(known.shape, np.float32), np.zeros(known.shape, np.uint8)
     for job in prange(views * views):
         v, o = job // views, job % views
         if v == o:
-            pair[v, o] = -1
             continue
         samples, seen = np.zeros((height, width, 3), np.float32), np.zeros((height, width), np.bool_)
         for y in range(height):
@@ -123,7 +125,6 @@ def explain_all(lens, pose, centre, rgb, known, depth, surface, pair, at, z, cos
                     seen[y, x] = at[v, o, y, x] >= 0
         for y in range(height):
             for x in range(width):
-                pair[v, o, y, x] = -1
                 if seen[y, x]:
                     pair[v, o, y, x] = window_cost(rgb, v, y, x, samples, seen, surface[v], 0, 0, half, mean_weight)
     for v in prange(views):
@@ -138,8 +139,9 @@ def explain_all(lens, pose, centre, rgb, known, depth, surface, pair, at, z, cos
                     ):
                         total += pair[v, o, y, x]
                         count += 1
-                judge_count[v, y, x] = count
+                view_count[v, y, x] = count
                 cost[v, y, x] = (total / count if count else UNSEEN) if known[v, y, x] else 0
+    return pair, at, z, cost, view_count
 
 
 @njit(cache=True, parallel=True)

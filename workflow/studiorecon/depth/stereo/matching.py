@@ -14,7 +14,7 @@ from numba import njit
 from studiorecon.scene.camera import Camera
 
 if TYPE_CHECKING:
-    from jaxtyping import Bool, Float
+    from jaxtyping import Float
 
 # Variance (summed over channels) below which a window counts as flat: flat windows always correlate, so the means
 # decide.
@@ -56,36 +56,10 @@ def plane_homography(camera: Camera, other: Camera, inverse_depth: Float[np.ndar
     return other.intrinsics @ (rays + np.outer(other_from_camera[:3, 3], inverse_depth))
 
 
-def correlation(
-    rgb: Float[np.ndarray, "H W 3"],
-    known: Bool[np.ndarray, "H W"],
-    camera: Camera,
-    other_rgb: Float[np.ndarray, "h w 3"],
-    other_known: Bool[np.ndarray, "h w"],
-    other: Camera,
-    plane: Float[np.ndarray, " 4"],
-    window: int,
-    mean_weight: float,
-    near_m: float,
-    far_m: float,
-) -> Float[np.ndarray, "H W"]:
-    """Float32 score of a plane for every pixel of ``camera``: correlation - mean_weight · difference of means, ≤ 1.
-
-    ``UNKNOWN`` where the plane is out of range, outside the other picture, or either picture is not ``known``.
-    """
-    score = np.full(camera.hw, UNKNOWN, np.float32)
-    weights = plane_inverse_depth(camera, plane)
-    if weights is not None:
-        homography = plane_homography(camera, other, weights)
-        _correlate(
-            rgb, known, other_rgb, other_known, homography, weights, window // 2, mean_weight, near_m, far_m, score
-        )
-    return score
-
-
 @njit(cache=True, fastmath=True)
-def _correlate(a, a_known, b, b_known, h, inverse, half, mean_weight, near_m, far_m, score):
-    """Fill ``score`` (H, W): sample ``b`` through homography ``h``, then running box sums of ten moments."""
+def correlate(a, a_known, b, b_known, h, inverse, half, mean_weight, near_m, far_m, score):
+    """Fill ``score`` (H, W), at most 1, of a plane: sample ``b`` through homography ``h``, then running box sums of ten
+    moments. It stays as it is where the plane is out of range or outside ``b``, or either picture is not known."""
     height, width = a_known.shape
     b_height, b_width = b_known.shape
     moments = np.zeros((height, width, 10), np.float32)

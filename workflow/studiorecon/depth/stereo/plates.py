@@ -11,7 +11,8 @@ from typing import TYPE_CHECKING
 import cv2
 import numpy as np
 
-from studiorecon.depth.stereo.matching import UNKNOWN, correlation, plane_depth
+from studiorecon.depth.stereo.matching import UNKNOWN, correlate, plane_depth, plane_homography, plane_inverse_depth
+from studiorecon.depth.sweep_settings import Matching
 from studiorecon.footage.stills import read_plate, shrink_plate
 from studiorecon.images.channels import channel_sum
 from studiorecon.images.exposure import compare_colours, solve_gains
@@ -40,9 +41,9 @@ class Picture:
     rgb: Float[np.ndarray, "H W 3"]
     known: Bool[np.ndarray, "H W"]
 
-    def depth(self, plane: Float[np.ndarray, " 4"], near_m: float, far_m: float) -> Float[np.ndarray, "H W"]:
+    def depth(self, plane: Float[np.ndarray, " 4"], how: Matching) -> Float[np.ndarray, "H W"]:
         """Z-depth of a plane in this picture; 0 out of range."""
-        return plane_depth(self.camera, plane, near_m, far_m)
+        return plane_depth(self.camera, plane, how.near_m, how.far_m)
 
     def plane_depths_of_pixels(self, planes: Float[np.ndarray, "H W 4"]) -> Float[np.ndarray, "H W"]:
         """Z-depth of a plane of its own for every pixel; 0 where the ray does not meet it."""
@@ -57,39 +58,21 @@ class Picture:
         mean, square = (cv2.blur(image, (window, window)) for image in (self.rgb, self.rgb * self.rgb))
         return channel_sum(square - mean * mean) > _MIN_VARIANCE
 
-    def score(
-        self,
-        other: Picture,
-        plane: Float[np.ndarray, " 4"],
-        window: int,
-        mean_weight: float,
-        near_m: float,
-        far_m: float,
-    ) -> Float[np.ndarray, "H W"]:
-        """Agreement with another picture through a plane; ``UNKNOWN`` where they are not comparable."""
-        return correlation(
-            self.rgb,
-            self.known,
-            self.camera,
-            other.rgb,
-            other.known,
-            other.camera,
-            plane,
-            window,
-            mean_weight,
-            near_m,
-            far_m,
-        )
+    def score(self, other: Picture, plane: Float[np.ndarray, " 4"], how: Matching) -> Float[np.ndarray, "H W"]:
+        """Agreement with another picture through a plane: correlation - mean_weight · difference of means, ≤ 1.
+
+        ``UNKNOWN`` where the plane is out of range, outside the other picture, or either picture is not ``known``.
+        """
+        score, weights = np.full(self.camera.hw, UNKNOWN, np.float32), plane_inverse_depth(self.camera, plane)
+        if weights is not None:
+            through = plane_homography(self.camera, other.camera, weights), weights
+            pair, window = (self.rgb, self.known, other.rgb, other.known), (how.window // 2, how.mean_weight)
+            correlate(*pair, *through, *window, how.near_m, how.far_m, score)
+        return score
 
 
 def best_score(
-    pictures: Sequence[Picture],
-    index: int,
-    plane: Float[np.ndarray, " 4"],
-    window: int,
-    mean_weight: float,
-    near_m: float,
-    far_m: float,
+    pictures: Sequence[Picture], index: int, plane: Float[np.ndarray, " 4"], how: Matching
 ) -> Float[np.ndarray, "H W"]:
     """Float32 agreement of one picture with the other that agrees best; ``UNKNOWN`` where none is comparable.
 
@@ -98,7 +81,7 @@ def best_score(
     best = np.full(pictures[index].known.shape, UNKNOWN, np.float32)
     for j, other in enumerate(pictures):
         if j != index:
-            best = np.maximum(best, pictures[index].score(other, plane, window, mean_weight, near_m, far_m))
+            best = np.maximum(best, pictures[index].score(other, plane, how))
     return best
 
 
@@ -114,20 +97,19 @@ def read_pictures(cameras: Sequence[Camera], plates: Sequence[Path], width: int)
     return pictures
 
 
-def floor_and_gains(
-    pictures: Sequence[Picture], window: int, near_m: float, far_m: float
-) -> tuple[float, Float[np.ndarray, "V 3"], int]:
+def floor_and_gains(pictures: Sequence[Picture], how: Matching) -> tuple[float, Float[np.ndarray, "V 3"], int]:
     """Height of the floor near z = 0, exposure gains, and the number of camera pairs that shared floor.
 
     The floor is the one surface whose position is known beforehand. Gains are estimated before any depth, because
     unequal exposure ruins the matching costs (44 % instead of 86 % of pixels within 5 % at ±12 %).
     """
+    how = replace(how, window=how.window + 2, mean_weight=0.0)
     candidates = np.arange(-_FLOOR_SEARCH_M, _FLOOR_SEARCH_M + 1e-9, _FLOOR_STEP_M)
     pairs = [(i, j) for i in range(len(pictures)) for j in range(len(pictures)) if i != j]
 
     def scores(height_m: float) -> list[np.ndarray]:
         plane = np.array([0.0, 0.0, 1.0, height_m])
-        return [pictures[i].score(pictures[j], plane, window + 2, 0.0, near_m, far_m) for i, j in pairs]
+        return [pictures[i].score(pictures[j], plane, how) for i, j in pairs]
 
     support = [
         sum(float(np.clip(s[s > UNKNOWN] - 0.3, 0, None).sum()) for s in scores(height)) for height in candidates
@@ -138,7 +120,7 @@ def floor_and_gains(
         agree = score > _SAME_SURFACE
         if agree.sum() < _MIN_PIXELS:
             continue
-        depth_m = pictures[i].depth(np.array([0.0, 0.0, 1.0, floor_m]), near_m, far_m)
+        depth_m = pictures[i].depth(np.array([0.0, 0.0, 1.0, floor_m]), how)
         points = pictures[i].camera.unproject(pictures[i].camera.pixel_centres(), depth_m)[agree]
         colours, inside = sample(pictures[j].rgb, pictures[j].camera.project(points)[0][None])
         overlap = compare_colours(i, j, pictures[i].rgb[agree][inside[0]], colours[0][inside[0]], _MIN_PIXELS)
