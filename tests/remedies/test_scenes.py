@@ -355,7 +355,7 @@ ROWS: list[tuple[Any, ...]] = [
     (f"{FILES} read_npy", arrays(9, user_files.read_npy), arrays(1, user_files.read_npy)),
     (f"{FILES} user_file_context 3", out_of_memory, nothing),
     ("keypoints/motion.py film_motion", filmed(BROKEN), filmed(WHOLE)),
-    ("calibration/room_pictures.py read_room_pictures.read", filmed(BROKEN), filmed(WHOLE)),
+    ("calibration/room_pictures.py read_room_pictures", filmed(BROKEN), filmed(WHOLE)),
     ("camera_files/colmap_models.py _read 1", given(colmap, pycolmap=None), colmap),
     (f"{PREPARED} mask_people", first_frame(WH[0]), plan(background={"room_targets": "plates"}), first_frame(20)),
     (f"{PREPARED} read_photos", plates(False), plates(True)),
