@@ -13,14 +13,16 @@ import yaml
 from studiorecon.body.model import BodyModel
 from studiorecon.camera_files.colmap import write_model
 from studiorecon.errors import UserError
+from studiorecon.keypoints.layouts import JOINT_NAMES
 from studiorecon.render.keyframes import read_keys, spline_steps
 from studiorecon.render.kinds import KINDS, read_film_settings
 from studiorecon.render.look_at_targets import LookAtTargets
 from studiorecon.render.moves import DollyZoom, Follow, Oscillate, dolly_zoom_steps, follow_steps, oscillate_steps
 from studiorecon.render.path_file import GivenPath, path_steps
 from studiorecon.render.planning import plan_steps
-from studiorecon.render.shot import find_targets
+from studiorecon.render.shot import aim_m, find_targets
 from studiorecon.scene.path import PathStep
+from studiorecon.scene.provenance import INFERRED, MEASURED
 
 from tests.made.scene import FPS, WH, avatar, ring, room
 
@@ -204,17 +206,28 @@ def test_a_shot_of_people_looks_where_they_are_while_they_are_there(subjects: Lo
     """The path of an absent person leads to the place of return; it is no position of theirs."""
     early = np.arange(T) < 10
     left = replace(subjects, present={"p0": early, "p1": np.ones(T, bool)})
-    assert left.still("p0", "shot") == pytest.approx(np.median(subjects.pelvis_m["p0"][:10], axis=0))
-    both = np.concatenate([subjects.pelvis_m["p0"][:10], subjects.pelvis_m["p1"]])
+    assert left.still("p0", "shot") == pytest.approx(np.median(subjects.aim_m["p0"][:10], axis=0))
+    both = np.concatenate([subjects.aim_m["p0"][:10], subjects.aim_m["p1"]])
     assert left.still("people", "shot") == pytest.approx(np.median(both, axis=0))
 
 
 def test_somebody_who_watches_from_behind_the_cameras_is_no_aim(subjects: LookAtTargets) -> None:
-    behind = replace(subjects, pelvis_m={**subjects.pelvis_m, "p1": subjects.pelvis_m["p1"] + [0, 4.0, 0]}, reach_m=3.0)
-    np.testing.assert_allclose(behind.still("people", "shot"), np.median(subjects.pelvis_m["p0"], axis=0))
+    behind = replace(subjects, aim_m={**subjects.aim_m, "p1": subjects.aim_m["p1"] + [0, 4.0, 0]}, reach_m=3.0)
+    np.testing.assert_allclose(behind.still("people", "shot"), np.median(subjects.aim_m["p0"], axis=0))
     np.testing.assert_allclose(behind.still("p1", "shot"), [0, 5, 0.95])
-    alone = replace(behind, pelvis_m={"p1": behind.pelvis_m["p1"]})
+    alone = replace(behind, aim_m={"p1": behind.aim_m["p1"]})
     np.testing.assert_allclose(alone.still("people", "shot"), [0, 5, 0.95])
+
+
+def test_a_camera_aims_at_what_was_seen_of_somebody_whose_pelvis_was_not(root: Path) -> None:
+    person = avatar(BodyModel.load(root / "resources/body.npz"), np.random.default_rng(0), "p0")
+    assert np.array_equal(aim_m(person), person.trans)
+    head = person.bones[:, 0] == JOINT_NAMES.index("head")
+    seated = replace(person, provenance=np.where(head, MEASURED, INFERRED).astype(np.uint8))
+    from_pelvis_m = aim_m(seated) - person.trans
+    np.testing.assert_allclose(from_pelvis_m, np.tile(from_pelvis_m[0], (len(person.trans), 1)))
+    at_head_m = person.posed(5).means_m[head].mean(axis=0)
+    np.testing.assert_allclose(aim_m(seated)[5], at_head_m, atol=0.05)
 
 
 def test_every_example_shot_is_planned(root: Path) -> None:

@@ -25,14 +25,14 @@ class LookAtTargets:
     """Possible targets of a camera.
 
     Attributes:
-        pelvis_m: person → world positions of the pelvis in every frame.
+        aim_m: person → where a camera aims at them in every frame: the pelvis, if cameras saw it.
         facing: person → horizontal unit vectors in which the pelvis faces.
         present: person → frames in which they are present.
         scene_m: common centre of the training cameras' views.
         reach_m: horizontal distance of the training cameras from ``scene_m``: people beyond it are bystanders.
     """
 
-    pelvis_m: Mapping[str, Float[np.ndarray, "T 3"]]
+    aim_m: Mapping[str, Float[np.ndarray, "T 3"]]
     facing: Mapping[str, Float[np.ndarray, "T 2"]]
     present: Mapping[str, Bool[np.ndarray, " T"]]
     scene_m: Float[np.ndarray, " 3"]
@@ -48,14 +48,14 @@ class LookAtTargets:
         """
         if not isinstance(target, str):
             return np.asarray(target, np.float64)
-        if target == "scene" or (target == "people" and not self.pelvis_m):
+        if target == "scene" or (target == "people" and not self.aim_m):
             return np.asarray(self.scene_m, np.float64)
         if target == "people":
-            there = [track[self.present[person]] for person, track in self.pelvis_m.items()]
+            there = [track[self.present[person]] for person, track in self.aim_m.items()]
             away_m = [np.linalg.norm(np.median(track, axis=0)[:2] - self.scene_m[:2]) for track in there]
             among = [track for track, far in zip(there, away_m) if far < self.reach_m]
             return np.median(np.concatenate(among or there), axis=0)
-        return np.median(self._of(self.pelvis_m, target, shot)[self.present[target]], axis=0)
+        return np.median(self._of(self.aim_m, target, shot)[self.present[target]], axis=0)
 
     def at(
         self, target: Target, times: Num[np.ndarray, " P"], shot: str, smooth_s: float = 0.5
@@ -66,7 +66,7 @@ class LookAtTargets:
         """
         if not isinstance(target, str) or target in ("scene", "people"):
             return np.tile(self.still(target, shot), (len(times), 1))
-        return _sample_track(_smooth(self._of(self.pelvis_m, target, shot), smooth_s * self.fps), times)
+        return _sample_track(_smooth(self._of(self.aim_m, target, shot), smooth_s * self.fps), times)
 
     def facing_at(
         self, person: str, times: Num[np.ndarray, " P"], shot: str, smooth_s: float

@@ -37,12 +37,13 @@ from studiorecon.render.statistics import (
 from studiorecon.scene.camera import Camera
 from studiorecon.scene.capture import read_manifest
 from studiorecon.scene.path import PathStep, write_path
+from studiorecon.scene.provenance import MEASURED
 from studiorecon.signature import Written
 from studiorecon.splatting.device import resolve
 from studiorecon.splatting.scene_files import SceneFiles
 
 if TYPE_CHECKING:
-    from jaxtyping import Integer
+    from jaxtyping import Float, Integer
 
 
 @dataclass(frozen=True)
@@ -64,14 +65,28 @@ class Settings(DrawSettings):
     clearance_m: float = 0.3
 
 
+def aim_m(person: Avatar) -> Float[np.ndarray, "T 3"]:
+    """Where a camera aims at a person, metres: the pelvis, or the middle of what cameras saw if that was another part.
+
+    Somebody at a desk has a pelvis and legs of the prior alone. The middle keeps its offset from the pelvis.
+    """
+    pelvis_m, there = np.asarray(person.trans, np.float64), np.flatnonzero(person.present)
+    seen = person.provenance == MEASURED
+    on_pelvis = person.bones[np.arange(len(seen)), person.weights.argmax(axis=1)] == 0
+    if not len(there) or not seen.any() or not on_pelvis.any() or seen[on_pelvis].mean() >= 0.5:
+        return pelvis_m
+    middle = int(there[len(there) // 2])
+    return pelvis_m + person.posed(middle).means_m[seen].mean(axis=0) - pelvis_m[middle]
+
+
 def find_targets(people: Sequence[Avatar], cameras: Sequence[Camera], frames: int, fps: float) -> LookAtTargets:
     """The possible targets of a scene's shots."""
-    pelvis = {person.person: np.asarray(person.trans, np.float64) for person in people}
+    aims = {person.person: aim_m(person) for person in people}
     facing = {person.person: person.facing() for person in people}
     present = {person.person: person.present for person in people}
     centre_m = scene_centre(cameras)
     reach_m = float(np.median([np.linalg.norm((camera.centre_m - centre_m)[:2]) for camera in cameras]))
-    return LookAtTargets(pelvis, facing, present, centre_m, frames, fps, reach_m)
+    return LookAtTargets(aims, facing, present, centre_m, frames, fps, reach_m)
 
 
 def draw_step(
