@@ -168,7 +168,6 @@ def test_a_board_before_real_webcams_finds_the_one_that_lags(real_data: Path, tm
     (tmp_path / "videos").mkdir()
     for film in sorted((webcams / "calibration_session").glob("*.mp4")):
         (tmp_path / "videos" / film.name).symlink_to(film)
-    (tmp_path / "capture.yaml").write_text("calibration: charuco.toml")
     (tmp_path / "charuco.toml").write_bytes((webcams / "charuco.toml").read_bytes())
     found = read_calibration(open_dataset(tmp_path).calibration)
     given = {c.name: c.camera_from_world for c in read_calibration((webcams / "camera_array.toml",)).cameras}

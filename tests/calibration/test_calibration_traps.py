@@ -272,5 +272,5 @@ def test_files_beside_a_toml_calibration_do_not_hide_it(capture):
     (capture / "intri.yml").unlink()
     file = write_toml(capture, cameras())[0]
     for name in ("Config.toml", "charuco.toml", "capture_volume.toml"):
-        (capture / name).write_text("[board]\ncolumns = 4\n")
+        (capture / name).write_text("[board]\ncolumns = 4\naruco_scale = 0.75\n")
     assert open_dataset(capture).calibration == (file,)

@@ -81,8 +81,8 @@ def camera_films(paths: list[Path]) -> dict[str, Path]:
 FORMAT = CalibrationFormat(
     "board",
     "OpenCV's, Caliscope's and others' printed boards",
-    "`board.yaml`, or `board/` with `board.yaml` or `charuco.toml`, and films that show the board",
-    (("board.yaml",), ("board/board.yaml",), ("board/charuco*.toml",)),
+    "`board.yaml` or `charuco.toml`, beside the films or in `board/`, and films that show the board",
+    (("board.yaml",), ("board/board.yaml",), ("board/charuco*.toml",), ("charuco*.toml",)),
     recognises,
     read,
     holds_cameras=is_board,
