@@ -13,7 +13,6 @@ import yaml
 from studiorecon.body.model import BodyModel
 from studiorecon.camera_files.colmap import write_model
 from studiorecon.errors import UserError
-from studiorecon.keypoints.layouts import JOINT_NAMES
 from studiorecon.render.keyframes import read_keys, spline_steps
 from studiorecon.render.kinds import KINDS, read_film_settings
 from studiorecon.render.look_at_targets import LookAtTargets
@@ -22,8 +21,8 @@ from studiorecon.render.path_file import GivenPath, path_steps
 from studiorecon.render.planning import plan_steps
 from studiorecon.render.shot import aim_m, find_targets
 from studiorecon.scene.path import PathStep
-from studiorecon.scene.provenance import INFERRED, MEASURED
 
+from tests.made.cameras import look_at
 from tests.made.scene import FPS, WH, avatar, ring, room
 
 CAMERAS = ring([0, 90, 180, 270], "cam")
@@ -219,15 +218,17 @@ def test_somebody_who_watches_from_behind_the_cameras_is_no_aim(subjects: LookAt
     np.testing.assert_allclose(alone.still("people", "shot"), [0, 5, 0.95])
 
 
-def test_a_camera_aims_at_what_was_seen_of_somebody_whose_pelvis_was_not(root: Path) -> None:
+def test_a_film_aims_at_what_cameras_have_in_view_of_somebody_at_a_desk(root: Path) -> None:
     person = avatar(BodyModel.load(root / "resources/body.npz"), np.random.default_rng(0), "p0")
-    assert np.array_equal(aim_m(person), person.trans)
-    head = person.bones[:, 0] == JOINT_NAMES.index("head")
-    seated = replace(person, provenance=np.where(head, MEASURED, INFERRED).astype(np.uint8))
-    from_pelvis_m = aim_m(seated) - person.trans
-    np.testing.assert_allclose(from_pelvis_m, np.tile(from_pelvis_m[0], (len(person.trans), 1)))
-    at_head_m = person.posed(5).means_m[head].mean(axis=0)
-    np.testing.assert_allclose(aim_m(seated)[5], at_head_m, atol=0.05)
+    assert np.array_equal(aim_m(person, CAMERAS), person.trans)
+    # Cameras at a metre, whose pictures end above the hips.
+    near = [
+        look_at(f"cam{k}", np.array([np.sin(a), -np.cos(a), 1.5]), [0, 0, 1.5], (320, 180), 320.0)
+        for k, a in enumerate((-0.4, 0.4))
+    ]
+    above_m = aim_m(person, near) - person.trans
+    np.testing.assert_allclose(above_m, np.tile(above_m[0], (len(above_m), 1)), atol=1e-12)
+    assert 0.4 < above_m[0, 2] < 0.7
 
 
 def test_every_example_shot_is_planned(root: Path) -> None:

@@ -12,12 +12,14 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from studiorecon.arrays import spread_indices
 from studiorecon.body.avatar.avatar_files import Avatar
 from studiorecon.camera_files.colmap import read_model
 from studiorecon.configuration.setting import setting
 from studiorecon.footage.streams import parallel_writers
 from studiorecon.footage.video import to_bytes, write_lossless
 from studiorecon.geometry.camera_path import scene_centre
+from studiorecon.keypoints.layouts import JOINT_NAMES
 from studiorecon.progress import progress, say
 from studiorecon.render.composite import Composite, to_millimetres, truth_levels
 from studiorecon.render.composite_renderer import CompositeRenderer
@@ -37,13 +39,15 @@ from studiorecon.render.statistics import (
 from studiorecon.scene.camera import Camera
 from studiorecon.scene.capture import read_manifest
 from studiorecon.scene.path import PathStep, write_path
-from studiorecon.scene.provenance import MEASURED
 from studiorecon.signature import Written
 from studiorecon.splatting.device import resolve
 from studiorecon.splatting.scene_files import SceneFiles
 
 if TYPE_CHECKING:
     from jaxtyping import Float, Integer
+
+# Frames in which it is asked which joints the cameras have in view.
+_LOOKED = 16
 
 
 @dataclass(frozen=True)
@@ -65,23 +69,29 @@ class Settings(DrawSettings):
     clearance_m: float = 0.3
 
 
-def aim_m(person: Avatar) -> Float[np.ndarray, "T 3"]:
-    """Where a camera aims at a person, metres: the pelvis, or the middle of what cameras saw if that was another part.
+def aim_m(person: Avatar, cameras: Sequence[Camera]) -> Float[np.ndarray, "T 3"]:
+    """Where a film aims at a person, metres: the pelvis, or the middle of the joints that two cameras have in view.
 
-    Somebody at a desk has a pelvis and legs of the prior alone. The middle keeps its offset from the pelvis.
+    Of somebody at a desk the pelvis is below the pictures. The middle keeps its mean offset from the pelvis.
     """
     pelvis_m, there = np.asarray(person.trans, np.float64), np.flatnonzero(person.present)
-    seen = person.provenance == MEASURED
-    on_pelvis = person.bones[np.arange(len(seen)), person.weights.argmax(axis=1)] == 0
-    if not len(there) or not seen.any() or not on_pelvis.any() or seen[on_pelvis].mean() >= 0.5:
+    if not len(there):
         return pelvis_m
-    middle = int(there[len(there) // 2])
-    return pelvis_m + person.posed(middle).means_m[seen].mean(axis=0) - pelvis_m[middle]
+    looked = there[spread_indices(len(there), _LOOKED)]
+    joints_m = np.stack([person.joints_m(frame)[: len(JOINT_NAMES)] for frame in looked])
+    views = np.zeros(joints_m.shape[:2])
+    for camera in cameras:
+        pixels, depth_m = camera.project(joints_m)
+        views += (depth_m > 0) & (pixels >= 0).all(-1) & (pixels < camera.wh).all(-1)
+    in_view = np.median(views, axis=0) >= 2
+    if in_view[0] or not in_view.any():
+        return pelvis_m
+    return pelvis_m + (joints_m[:, in_view].mean(axis=1) - pelvis_m[looked]).mean(axis=0)
 
 
 def find_targets(people: Sequence[Avatar], cameras: Sequence[Camera], frames: int, fps: float) -> LookAtTargets:
     """The possible targets of a scene's shots."""
-    aims = {person.person: aim_m(person) for person in people}
+    aims = {person.person: aim_m(person, cameras) for person in people}
     facing = {person.person: person.facing() for person in people}
     present = {person.person: person.present for person in people}
     centre_m = scene_centre(cameras)
