@@ -111,7 +111,8 @@ def test_a_detector_that_always_errs_the_same_way_is_put_right_by_the_room(root:
         assert off[name] < report["between_deg"]
         assert set(report["along_edges"]) == set(reported)
     assert off["people"] > 1.5
-    assert off["room"] < 0.7
+    # A room is square to 0.4°, and the detector errs by 8 px in every frame.
+    assert off["room"] < 0.8
 
 
 def test_edges_of_footage_are_those_of_the_empty_room(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

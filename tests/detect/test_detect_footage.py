@@ -11,6 +11,7 @@ import cv2
 import numpy as np
 import pytest
 from studiorecon.clocks import moments as choose
+from studiorecon.clocks.offsets import Take
 from studiorecon.detect import people
 from studiorecon.detector.blazepose import LANDMARKS, MASK_PX, Landmarks
 from studiorecon.detector.crops import Region
@@ -30,8 +31,7 @@ def networks(root: Path) -> list[Path]:
 def detected(source: Path, root: Path, folder: Path) -> RawDetections:
     """What both steps find in one film or folder."""
     known, found, files = folder / "known.npz", folder / "a.npz", DetectorFiles(networks(root))
-    asked = choose.Settings(sync="never"), ["a"], [source], "{}", 0, 0, 0, folder / "lags.json"
-    choose.run(*asked, ["a"], files, 1, [known])
+    choose.run(choose.Settings(sync="never"), Take(["a"], [source]), 1, folder / "lags.json", ["a"], files, [known])
     people.run("a", source, [known], [], 30.0, files, found)
     return read_raw_detections(found)
 
