@@ -30,7 +30,7 @@ from typing import Any
 import numpy as np
 from studiorecon.cameras import refine
 from studiorecon.errors import UserError
-from studiorecon.geometry.bundle import BundleSettings, move_camera
+from studiorecon.geometry.camera_motion import PoseError, move_camera
 from studiorecon.geometry.rotations import angle, exp
 from studiorecon.rig.calibrated import estimate_calibrated
 from studiorecon.rig.room_picture import RoomPicture
@@ -43,7 +43,7 @@ from tests.defaults import loaded
 from tests.made.take import made_take
 
 RESULT = Path(__file__).parent / "results" / "cameras_stale.json"
-FREE = BundleSettings(prior_deg=20.0, prior_m=2.0)
+FREE = PoseError(20.0, 2.0)
 
 
 def planted(cameras: Sequence[Camera], seed: int) -> list[Camera]:

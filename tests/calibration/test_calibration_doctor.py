@@ -15,7 +15,7 @@ from studiorecon.calibration.checks import coverage as health
 from studiorecon.calibration.checks import doctor_page, examination
 from studiorecon.calibration.checks.advice import verdict
 from studiorecon.configuration import settings as settings_module
-from studiorecon.geometry.bundle import move_camera
+from studiorecon.geometry.camera_motion import move_camera
 from studiorecon.geometry.rotations import exp
 from studiorecon.scene.camera import Camera
 from studiorecon.scene.clocks import Clock, ClockFinding, Clocks

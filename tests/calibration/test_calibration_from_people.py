@@ -11,7 +11,7 @@ from studiorecon.body.model import BodyModel
 from studiorecon.calibration import from_people
 from studiorecon.configuration import settings as settings_module
 from studiorecon.errors import UserError
-from studiorecon.geometry.bundle import move_camera
+from studiorecon.geometry.camera_motion import move_camera
 from studiorecon.geometry.relative_pose import relative_pose, resection
 from studiorecon.geometry.rotations import angle, exp
 from studiorecon.rig import pose_consensus

@@ -12,7 +12,7 @@ import pytest
 from studiorecon.body.model import BodyModel
 from studiorecon.calibration import from_people
 from studiorecon.calibration.room_pictures import read_room_pictures
-from studiorecon.geometry.bundle import move_camera
+from studiorecon.geometry.camera_motion import move_camera
 from studiorecon.geometry.rotations import angle, exp
 from studiorecon.rig.room_turns import room_turns, straight_edges
 from studiorecon.scene.camera import Camera

@@ -18,7 +18,7 @@ from studiorecon.camera_files.raw_camera import rigid_camera_from_world
 from studiorecon.cameras import refine
 from studiorecon.configuration import settings as settings_module
 from studiorecon.errors import UserError
-from studiorecon.geometry.bundle import move_camera
+from studiorecon.geometry.camera_motion import move_camera
 from studiorecon.geometry.rotations import exp, log
 from studiorecon.scene.camera import Camera, Lens
 from studiorecon.scene.capture import Footage, Manifest, write_manifest

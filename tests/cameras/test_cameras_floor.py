@@ -9,7 +9,7 @@ from pathlib import Path
 import cv2
 import numpy as np
 from studiorecon.cameras import refine
-from studiorecon.geometry.bundle import move_camera
+from studiorecon.geometry.camera_motion import move_camera
 from studiorecon.geometry.rotations import exp
 from studiorecon.rig.calibrated import estimate_calibrated
 from studiorecon.rig.room_picture import make_room_picture
@@ -52,7 +52,14 @@ def test_a_carpet_puts_knocked_cameras_right_where_a_detector_errs_all_the_time(
     rooms = [room(c, carpet(1), v) for v, c in enumerate(truth)]
     by_people, with_floor = (
         estimate_calibrated(
-            given, seen, np.arange(FRAMES), settings.gate_m, settings.limits, settings.bundle, lost=True, rooms=reported
+            given,
+            seen,
+            np.arange(FRAMES),
+            settings.gate_m,
+            settings.limits,
+            settings.pose_error,
+            lost=True,
+            rooms=reported,
         )
         for reported in ((), rooms)
     )
@@ -89,7 +96,7 @@ def test_cameras_that_were_all_knocked_stand_on_the_floor_under_people() -> None
     given = off(leant(truth, 1.0, 0.05), 3, 2.0, 0.1)
     seen = detect(truth, PEOPLE, 1.0, np.random.default_rng(0))
     found = estimate_calibrated(
-        given, seen, np.arange(FRAMES), settings.gate_m, settings.limits, settings.bundle, lost=True
+        given, seen, np.arange(FRAMES), settings.gate_m, settings.limits, settings.pose_error, lost=True
     )
     assert found is not None
     assert found.freedom == "moved"

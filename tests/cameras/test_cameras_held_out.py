@@ -20,7 +20,7 @@ from studiorecon.clocks.timeline import clock_as_filmed, common_moments, read_ti
 from studiorecon.configuration import settings as settings_module
 from studiorecon.detector.network_files import DetectorFiles
 from studiorecon.footage.source import open_source
-from studiorecon.geometry.bundle import BundleSettings, move_camera
+from studiorecon.geometry.camera_motion import PoseError, move_camera
 from studiorecon.geometry.rotations import exp
 from studiorecon.plan.discovery import open_dataset
 from studiorecon.rig.calibrated import pose_changes
@@ -36,7 +36,7 @@ from tests.defaults import loaded
 from tests.made.cameras import LIMITS, ring, walk
 from tests.made.recorded import taken_over
 
-BUNDLE = BundleSettings()
+BUNDLE = PoseError()
 TRUE = ring(5)[4]
 
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from studiorecon.geometry.bundle import move_camera
+from studiorecon.geometry.camera_motion import move_camera
 from studiorecon.geometry.rotations import exp
 from studiorecon.rig.correspondences import make_observations
 from studiorecon.rig.gravity import check_tilt, people_tilt

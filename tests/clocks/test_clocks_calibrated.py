@@ -13,7 +13,7 @@ from studiorecon.clocks import offsets
 from studiorecon.clocks.people import people_lags
 from studiorecon.clocks.posterior import Offset, estimate_offsets
 from studiorecon.clocks.timeline import Timeline
-from studiorecon.geometry.bundle import move_camera
+from studiorecon.geometry.camera_motion import move_camera
 from studiorecon.geometry.rotations import exp
 from studiorecon.scene.camera import Camera, Lens
 from studiorecon.scene.clocks import Clock

@@ -5,7 +5,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from studiorecon.geometry.bundle import move_camera, remove_drift
+from studiorecon.geometry.camera_motion import move_camera, remove_drift
 from studiorecon.geometry.rotations import exp
 from studiorecon.geometry.triangulation import triangulate
 from studiorecon.keypoints.correspondence import ray_distances, track_groups

@@ -75,7 +75,7 @@ else:
             "timings/{scene}/calibration/choose.tsv"
         container:
             image("core")
-        threads: len(PLAN.cameras)
+        threads: 1
         resources:
             mem_mb=memory(500),
         params:
@@ -151,7 +151,7 @@ rule calibration_doctor:
         "timings/{scene}/calibration/doctor.tsv"
     container:
         image("core")
-    threads: len(PLAN.cameras)
+    threads: 1
     resources:
         mem_mb=memory(1500),
     params:

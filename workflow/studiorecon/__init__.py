@@ -162,14 +162,14 @@ def refine(cameras: Sequence[Camera], detections: Sequence[Detections]) -> Calib
     """
     import numpy as np
 
-    from studiorecon.geometry.bundle import BundleSettings
+    from studiorecon.geometry.camera_motion import PoseError
     from studiorecon.geometry.triangulation import Limits
     from studiorecon.people.association.affinity import AssociationLimits
     from studiorecon.rig.calibrated import estimate_calibrated
 
     frames = np.unique(np.concatenate([found.frame for found in detections]))
     return estimate_calibrated(
-        cameras, detections, frames, AssociationLimits().gate_m, Limits(), BundleSettings(), lost=True
+        cameras, detections, frames, AssociationLimits().gate_m, Limits(), PoseError(), lost=True
     )
 
 

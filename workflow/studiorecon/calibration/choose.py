@@ -24,7 +24,7 @@ from studiorecon.calibration.names import Pairing, mismatch_error
 from studiorecon.calibration.people_evidence import agreement, best_candidate, is_in_metres
 from studiorecon.calibration.second_undistortion import without_second_undistortion
 from studiorecon.footage.frames import seek_frames
-from studiorecon.footage.source import FootageSource, open_source
+from studiorecon.footage.source import open_source
 from studiorecon.geometry.crop_hypotheses import (
     CropHypothesis,
     area_inside_bars,
@@ -32,7 +32,6 @@ from studiorecon.geometry.crop_hypotheses import (
 )
 from studiorecon.geometry.lens import rayless_share, same_shape
 from studiorecon.keypoints.motion import Motion, film_motion
-from studiorecon.machine.threads import in_threads
 from studiorecon.progress import say
 from studiorecon.scene.camera import Lens
 from studiorecon.scene.files import write_json
@@ -141,24 +140,20 @@ def run(
     ``detect.keypoint_pixels`` leaves open.
     """
     reading, source = read_reading(read)
-    films = list(in_threads(lambda source: open_source(source, picture_fps), sources))
+    films = [open_source(source, picture_fps) for source in sources]
     sizes, stored = [film.wh for film in films], [film.stored_wh for film in films]
     seen = {d.camera: d for d in map(read_detections, sightings)}
     nobody = np.zeros(0, dtype=int)
     people = [seen.get(c) or Detections(c, "coco17", nobody, nobody, np.zeros((0, 17, 3))) for c in cameras]
     maps = json.loads(pixel_maps or "{}")
     known = [c.wh for c in reading.cameras]
-    unlike = {
-        camera: film
+    areas = {
+        camera: area_inside_bars(
+            seek_frames(film, np.linspace(0, film.frames - 1, _PICTURES).round().astype(int).tolist())
+        )
         for camera, film in zip(cameras, films, strict=True)
         if not any(0 in wh or same_shape(wh, film.wh) or same_shape(wh, film.stored_wh) for wh in known)
     }
-
-    def inside_bars(film: FootageSource) -> Float[np.ndarray, " 4"]:
-        wanted = np.linspace(0, film.frames - 1, _PICTURES).round().astype(int).tolist()
-        return area_inside_bars(seek_frames(film, wanted))
-
-    areas = dict(zip(unlike, in_threads(inside_bars, unlike.values())))
 
     def motions() -> Mapping[str, Motion]:
         given = [(c, f, d.frame) for c, f, d in zip(cameras, films, people, strict=True) if c in recorded]

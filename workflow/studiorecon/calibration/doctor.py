@@ -29,7 +29,6 @@ from studiorecon.geometry.lens import video_from_working
 from studiorecon.images.encoded import png
 from studiorecon.keypoints.detections import to_pinhole
 from studiorecon.keypoints.resampling import resample_keypoints
-from studiorecon.machine.threads import in_threads
 from studiorecon.progress import say
 from studiorecon.rig.contact_sheet import contact_sheet
 from studiorecon.rig.hypotheses import LENS_READINGS
@@ -72,11 +71,10 @@ def _rooms(
     names = [c.name for c in cameras]
     wanted, paths = zip(*((n, path) for n, path, a in zip(names, sources, asked, strict=True) if a))
     found = read_room_pictures(wanted, paths, {c.name: c.wh for c in cameras}, dict(zip(names, moments, strict=True)))
-
-    def straight(camera: Camera, lens: Lens) -> RoomPicture | None:
-        return without_distortion(found[camera.name], lens, camera) if camera.name in found else None
-
-    return list(in_threads(straight, cameras, lenses))
+    return [
+        without_distortion(found[c.name], lens, c) if c.name in found else None
+        for c, lens in zip(cameras, lenses, strict=True)
+    ]
 
 
 def keypoint_pixels(seen: Detections, frame: int | None) -> Float[np.ndarray, "N 2"]:
@@ -152,8 +150,8 @@ def run(
     seen = {d.camera: resample_keypoints(d, common, heights[d.camera]) for d in (read_detections(p) for p in sightings)}
     raw = [seen.get(c, empty_detections(c)) for c in cameras]
     moments = [common.source_frames(c) for c in cameras]
-    films = list(in_threads(lambda source: open_source(source, 0.0), sources))
-    looks = list(in_threads(lambda film, of: seek_frames(film, [int(of[0]), int(of[len(of) // 2])]), films, moments))
+    films = [open_source(source, 0.0) for source in sources]
+    looks = [seek_frames(film, [int(of[0]), int(of[len(of) // 2])]) for film, of in zip(films, moments, strict=True)]
     starts = [first_frame(common, c) for c in cameras]
     about = [
         {**about_film(c, film, pictures), "frames": common.frames, "first_frame": start, "keypoints": c in seen}
@@ -180,12 +178,10 @@ def run(
     doubts = calibrated.about["doubts"] or []
     result, points = examine(pinholes, detections, about, settings, readings, described, doubts, rooms, compared)
     frame = result["shown_frame"]
-
-    def shown_by(both: list[np.ndarray], film: FootageSource, of: np.ndarray, camera: Camera) -> np.ndarray:
-        picture = both[-1] if frame is None else seek_frames(film, [int(of[frame])])[0]
-        return undistort_picture(picture, lenses[camera.name], camera)
-
-    straight = list(in_threads(shown_by, looks, films, moments, pinholes))
+    straight = [
+        undistort_picture(both[-1] if frame is None else seek_frames(film, [int(of[frame])])[0], lenses[c], camera)
+        for both, film, of, c, camera in zip(looks, films, moments, cameras, pinholes)
+    ]
     shown = {"after_px_per_camera": [result["px_per_camera"][c] for c in cameras]}
     sheet = contact_sheet(pinholes, [], straight, points, shown, [keypoint_pixels(d, frame) for d in detections])
     result["notes"] = json.loads(notes)

@@ -12,10 +12,9 @@ import numpy as np
 
 from studiorecon.arrays import spread_indices
 from studiorecon.errors import UserError
-from studiorecon.footage.frames import spread_frames
+from studiorecon.footage.frames import seek_frames
 from studiorecon.footage.source import open_source
 from studiorecon.geometry.lens import video_from_working
-from studiorecon.machine.threads import in_threads
 from studiorecon.progress import warn
 from studiorecon.rig.room_picture import RoomPicture
 from studiorecon.scene.camera import Camera, Lens
@@ -42,26 +41,21 @@ def read_room_pictures(
 
     ``moments``: camera → frames of its footage to use; else all of it.
     """
-
-    def read(camera: str, path: Path) -> RoomPicture | UserError | None:
+    found = {}
+    for camera, path in zip(cameras, sources):
         try:
             source = open_source(path, _ANY_FPS)
             among = np.arange(source.frames) if moments is None else moments[camera]
             wanted = among[spread_indices(len(among), _PICTURES)].tolist()
-            seen = [cv2.cvtColor(picture, cv2.COLOR_RGB2GRAY) for picture in spread_frames(source, wanted)]
+            seen = [cv2.cvtColor(picture, cv2.COLOR_RGB2GRAY) for picture in seek_frames(source, wanted)]
         except UserError as refusal:
-            return refusal
-        if camera not in size or not seen or seen[0].shape[::-1] != tuple(size[camera]):
-            return None
-        room = (_double_median(seen) // 2).astype(np.uint8)
-        difference = _double_median([cv2.absdiff(picture, room) for picture in seen])
-        return RoomPicture(room, difference < 2 * _STILL_LEVELS)
-
-    found = dict(zip(cameras, in_threads(read, cameras, sources)))
-    for camera, refusal in found.items():
-        if isinstance(refusal, UserError):
             warn(f"the room's edges in camera {camera} are not used: {refusal}")
-    return {camera: room for camera, room in found.items() if isinstance(room, RoomPicture)}
+            continue
+        if camera in size and seen and seen[0].shape[::-1] == tuple(size[camera]):
+            room = (_double_median(seen) // 2).astype(np.uint8)
+            difference = _double_median([cv2.absdiff(picture, room) for picture in seen])
+            found[camera] = RoomPicture(room, difference < 2 * _STILL_LEVELS)
+    return found
 
 
 def _double_median(pictures: Sequence[np.ndarray]) -> np.ndarray:

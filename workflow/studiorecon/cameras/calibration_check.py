@@ -87,7 +87,7 @@ class Check:
         found = estimate_calibrated(
             [self.given[v] for v in watched],
             [self.detections[v] for v in watched],
-            *(self.frames, settings.gate_m, settings.limits, settings.bundle, lost),
+            *(self.frames, settings.gate_m, settings.limits, settings.pose_error, lost),
             [rooms[v] for v in watched] if len(rooms) else (),
         )
         if found is None:

@@ -180,7 +180,7 @@ def run(
         pictures = [read_frame(film[camera.name], int(frame)) for frame in chosen]
         late = common.late_frames(camera.name)
         sighted, places = redetect(network, detector.worth(), camera, chosen.tolist(), pictures, bodies, late)
-        answer = estimate_held_out_pose(camera, sighted, settings.limits, settings.bundle)
+        answer = estimate_held_out_pose(camera, sighted, settings.limits, settings.pose_error)
         sentence = pose_sentence(camera.name, answer, places)
         (warn if answer.turned_deg or not answer.is_verified else say)(sentence)
         about = {name: value for name, value in asdict(answer).items() if name != "camera"}

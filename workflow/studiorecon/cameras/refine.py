@@ -18,7 +18,7 @@ from studiorecon.cameras.changes import estimate_report, log_changes
 from studiorecon.errors import UserError
 from studiorecon.estimate.factors.poses import ANKLE_HEIGHT_M
 from studiorecon.footage.video import read_frame
-from studiorecon.geometry.bundle import move_camera
+from studiorecon.geometry.camera_motion import move_camera
 from studiorecon.images.encoded import write_png
 from studiorecon.progress import say, warn
 from studiorecon.rig.active_cameras import active_cameras, inactive_camera_notes
@@ -96,15 +96,10 @@ def decide(
     if not moved and not len(seen.frame):
         own = np.isin(graph.view, watched)
         return _nothing_agrees(training, held_out, graph.distance_m[np.ix_(own, own)], report, settings)
-    adjusted, report = (
-        training,
-        {
-            **report,
-            "points": len(check.points_m),
-            "before_px": check.median_px if np.isfinite(check.median_px) else None,
-            "before_px_per_camera": check.per_camera_px,
-        },
-    )
+    adjusted = training
+    report["points"] = len(check.points_m)
+    report["before_px"] = check.median_px if np.isfinite(check.median_px) else None
+    report["before_px_per_camera"] = check.per_camera_px
     if found is not None:
         _, adjusted, seen = found
     after_px, per_camera_px, points = error_medians(adjusted, seen, settings.limits)

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from studiorecon.geometry.bundle import BundleSettings
+from studiorecon.geometry.camera_motion import PoseError
 from studiorecon.geometry.triangulation import Limits, triangulate
 from studiorecon.rig.correspondences import Observations
 from studiorecon.scene.camera import Camera
@@ -18,6 +18,7 @@ from studiorecon.scene.people import Detections
 if TYPE_CHECKING:
     from jaxtyping import Num
 
+# Multiple of the usual outlier distance within which errors are counted: cameras that are off show larger ones.
 _LOOSE = 3.0
 
 
@@ -53,7 +54,7 @@ def metres_per_px(cameras: Sequence[Camera], points_m: Num[np.ndarray, "N 3"]) -
 class CalibrationPrior:
     """The prior of the given cameras' poses, for refinement on people."""
 
-    bundle: BundleSettings = BundleSettings()
+    pose_error: PoseError = PoseError()
 
 
 def error_medians(

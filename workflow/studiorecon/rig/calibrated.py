@@ -18,7 +18,7 @@ from scipy.special import chdtri
 
 from studiorecon.estimate.intervals import Intervals, camera_intervals
 from studiorecon.estimate.unknowns import PER_CAMERA
-from studiorecon.geometry.bundle import BundleSettings, remove_drift
+from studiorecon.geometry.camera_motion import PoseError, remove_drift
 from studiorecon.geometry.rotations import angle, log
 from studiorecon.geometry.triangulation import Limits, triangulate
 from studiorecon.rig.correspondences import Observations, make_observations
@@ -93,11 +93,11 @@ class CalibratedEstimate:
     def intervals(self) -> Intervals:
         """The cameras' uncertainty."""
         known = camera_intervals(self.found.solution)
-        unsaid_deg = 0.0 if self.found.room.marks is None else _FLOOR_DEG
+        floor_deg = 0.0 if self.found.room.marks is None else _FLOOR_DEG
         return replace(
             known,
-            turn_deg=np.hypot(known.turn_deg, unsaid_deg),
-            between_deg=float(np.hypot(known.between_deg, 3 * unsaid_deg)),
+            turn_deg=np.hypot(known.turn_deg, floor_deg),
+            between_deg=float(np.hypot(known.between_deg, 3 * floor_deg)),
         )
 
     def open_deg(self, given: Sequence[Camera]) -> tuple[float, float]:
@@ -108,9 +108,9 @@ class CalibratedEstimate:
         return float(np.degrees(np.max(turned))), camera_intervals(free.solution).between_deg
 
 
-def freedoms(given: Sequence[Camera], trust: BundleSettings) -> dict[str, LensKnowledge]:
+def freedoms(given: Sequence[Camera], trust: PoseError) -> dict[str, LensKnowledge]:
     """The priors of ``given`` cameras, by name, from the least freedom on."""
-    narrow = trust.prior_deg, trust.prior_m
+    narrow = trust.turn_deg, trust.move_m
     return {
         "given": calibrated(given, 0.0, 0.0),
         "poses": calibrated(given, *narrow),
@@ -126,7 +126,7 @@ def estimate_calibrated(
     frames: Integer[np.ndarray, " F"],
     gate_m: float,
     limits: Limits,
-    trust: BundleSettings,
+    trust: PoseError,
     lost: bool = False,
     rooms: Sequence[RoomPicture | None] = (),
 ) -> CalibratedEstimate | None:
@@ -314,7 +314,7 @@ def pose_changes(
     return np.degrees(np.linalg.norm(log(turned), axis=-1)), np.linalg.norm(apart, axis=-1)
 
 
-def _align_to_unmoved(found: Sequence[Camera], given: Sequence[Camera], trust: BundleSettings) -> list[Camera]:
+def _align_to_unmoved(found: Sequence[Camera], given: Sequence[Camera], trust: PoseError) -> list[Camera]:
     """The cameras aligned to the given ones that moved least, so that a knocked one does not displace the others.
 
     Where all were moved, they stay in the estimate's world, whose floor is under people's feet.
@@ -323,5 +323,5 @@ def _align_to_unmoved(found: Sequence[Camera], given: Sequence[Camera], trust: B
     for _ in range(_ALIGNED):
         aligned = remove_drift(found, given, weights.tolist())[0]
         degrees, metres = pose_changes(aligned, given)
-        weights = 1 / np.maximum(np.hypot(degrees / trust.prior_deg, metres / trust.prior_m), 1.0)
+        weights = 1 / np.maximum(np.hypot(degrees / trust.turn_deg, metres / trust.move_m), 1.0)
     return aligned if weights.max() == 1.0 else list(found)

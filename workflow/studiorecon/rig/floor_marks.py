@@ -22,7 +22,6 @@ import scipy
 from studiorecon.arrays import require
 from studiorecon.geometry.statistics import peak_position
 from studiorecon.images.channels import channel_sum
-from studiorecon.machine.threads import in_threads
 from studiorecon.rig.room_picture import RoomPicture
 from studiorecon.scene.camera import Camera
 
@@ -104,7 +103,7 @@ def floor_marks(
     # The pictures' resolution, within the useful range.
     place_m = float(np.clip(np.median(pixel_m[views]), _FINEST_M, _WIDEST_M))
     grid_m = _grid(middle_m, place_m)
-    laid = dict(zip(views, in_threads(lambda v: _project_to_floor(rooms[v], cameras[v], grid_m, plane_m), views)))
+    laid = {v: _project_to_floor(rooms[v], cameras[v], grid_m, plane_m) for v in views}
 
     def matched(a: int) -> tuple[np.ndarray, dict[int, np.ndarray]]:
         """Places on the floor of view ``a`` that others share, and where each other has them, NaN where it does not."""
@@ -123,7 +122,7 @@ def floor_marks(
 
     places: list[tuple[int, np.ndarray, dict[int, np.ndarray]]] = []
     seen_by: dict[tuple[int, int], int] = {}
-    for a, (at, found) in zip(views, in_threads(matched, views)):
+    for a, (at, found) in zip(views, map(matched, views)):
         seen_by |= {(a, b): int(np.isfinite(moved[:, 0]).sum()) for b, moved in found.items()}
         places += [(a, place, {b: m[k] for b, m in found.items()}) for k, place in enumerate(at)]
     kept = [p for p in places if any(np.isfinite(at).all() for at in p[2].values())]
@@ -209,7 +208,7 @@ def _coarse(
             shifts[a, b] = (np.array([column, row]) - reach) * _COARSE_M
         return total, plane_m, shifts
 
-    _, plane_m, shifts = max(in_threads(agreement, (height_m + _HEIGHTS_M).tolist()), key=lambda one: one[0])
+    _, plane_m, shifts = max(map(agreement, (height_m + _HEIGHTS_M).tolist()), key=lambda one: one[0])
     return plane_m, shifts
 
 

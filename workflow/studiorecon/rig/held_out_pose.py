@@ -15,7 +15,7 @@ from scipy.optimize import least_squares
 from scipy.special import chdtri
 
 from studiorecon.estimate.factors.keypoints import SHARED_M
-from studiorecon.geometry.bundle import BundleSettings, move_camera
+from studiorecon.geometry.camera_motion import PoseError, move_camera
 from studiorecon.geometry.relative_pose import resection
 from studiorecon.geometry.rotations import exp, log
 from studiorecon.geometry.triangulation import Limits, unit_px
@@ -79,8 +79,8 @@ class HeldOutPose:
     is_verified: bool
 
 
-def estimate_held_out_pose(given: Camera, seen: ObservedJoints, limits: Limits, bundle: BundleSettings) -> HeldOutPose:
-    """The held-out camera at the pose that explains the joints ``seen``; ``bundle``: the calibration's error."""
+def estimate_held_out_pose(given: Camera, seen: ObservedJoints, limits: Limits, error: PoseError) -> HeldOutPose:
+    """The held-out camera at the pose that explains the joints ``seen``; ``error``: the calibration's."""
     before_px = _median_px(given, seen)
     if len(seen.frame) < _MIN_POINTS or len(np.unique(seen.frame)) < 2:
         return HeldOutPose(given, len(seen.frame), before_px, before_px, 0.0, 0.0, False)
@@ -90,11 +90,11 @@ def estimate_held_out_pose(given: Camera, seen: ObservedJoints, limits: Limits, 
     seen = seen.of(np.linalg.norm(_units(start, seen, unit), axis=-1) < limits.outlier_units)
     if len(seen.frame) < _MIN_POINTS:
         return HeldOutPose(given, len(seen.frame), before_px, before_px, 0.0, 0.0, False)
-    wide = replace(bundle, prior_deg=FREE_DEG, prior_m=FREE_M)
+    wide = PoseError(FREE_DEG, FREE_M)
     typical_px = SHARED_M * given.focal_px[0] / start.project(seen.points_m)[1]
     sigma_px = _measured_sigma_px(_fit_pose(start, given, seen, typical_px, wide)[0], seen)
-    found, cost = given, float((_residuals(given, given, seen, sigma_px, bundle) ** 2).sum())
-    for trust in (bundle, wide):
+    found, cost = given, float((_residuals(given, given, seen, sigma_px, error) ** 2).sum())
+    for trust in (error, wide):
         fitted, fitted_cost = _fit_pose(start, given, seen, sigma_px, trust)
         if cost - fitted_cost > _CHANCE:
             found, cost = fitted, fitted_cost
@@ -148,7 +148,7 @@ def _measured_sigma_px(camera: Camera, seen: ObservedJoints) -> np.ndarray:
 
 
 def _residuals(
-    camera: Camera, given: Camera, seen: ObservedJoints, sigma_px: np.ndarray, trust: BundleSettings
+    camera: Camera, given: Camera, seen: ObservedJoints, sigma_px: np.ndarray, trust: PoseError
 ) -> np.ndarray:
     """(2 N + 6,) residuals: squares of the first ones are Huber costs of the two-dimensional errors, the last ones are
     of the prior ``trust``.
@@ -156,13 +156,13 @@ def _residuals(
     off = _units(camera, seen, sigma_px[:, None])
     error = np.maximum(np.linalg.norm(off, axis=-1), 1.0)
     robust = np.sqrt(seen.confidence / seen.confidence.mean() * (2 * error - 1)) / error
-    turned = log(camera.camera_from_world[:3, :3] @ given.camera_from_world[:3, :3].T) / np.radians(trust.prior_deg)
-    prior = [turned, (camera.centre_m - given.centre_m) / trust.prior_m]
+    turned = log(camera.camera_from_world[:3, :3] @ given.camera_from_world[:3, :3].T) / np.radians(trust.turn_deg)
+    prior = [turned, (camera.centre_m - given.centre_m) / trust.move_m]
     return np.concatenate([(robust[:, None] * off).ravel(), *prior])
 
 
 def _fit_pose(
-    start: Camera, given: Camera, seen: ObservedJoints, sigma_px: np.ndarray, trust: BundleSettings
+    start: Camera, given: Camera, seen: ObservedJoints, sigma_px: np.ndarray, trust: PoseError
 ) -> tuple[Camera, float]:
     """The pose of least cost, and that."""
     rotation, centre_m = start.camera_from_world[:3, :3], start.centre_m
@@ -170,7 +170,7 @@ def _fit_pose(
     def moved(step: np.ndarray) -> Camera:
         return move_camera(given, exp(step[:3]) @ rotation, centre_m + step[3:])
 
-    sigma = np.repeat([np.radians(trust.prior_deg), trust.prior_m], 3)
+    sigma = np.repeat([np.radians(trust.turn_deg), trust.move_m], 3)
     found = least_squares(
         lambda step: _residuals(moved(step), given, seen, sigma_px, trust), np.zeros(6), x_scale=sigma
     )

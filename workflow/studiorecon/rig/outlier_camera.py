@@ -42,8 +42,8 @@ _CONTRADICTED, _EXPLAINED = 0.4, 0.8
 _OTHERS_AGREE, _MIN_POINTS, _MIN_FRAMES = 0.3, 60, 5
 _LOOSE = 3.0
 _FRAMES = 48
-# Share of contradicted points (``bundle.contradicted_share``) above which one camera must be wrong: 0.2 to 0.75 without
-# a mix-up (people that two cameras confuse are contradicted too), 0.96 and more with one.
+# Share of contradicted points (``agreement.contradicted_share``) above which one camera must be wrong: 0.2 to 0.75
+# without a mix-up (people that two cameras confuse are contradicted too), 0.96 and more with one.
 _WRONG_SOMEWHERE = 0.9
 _MAX_LAG = 90
 # A knocked tripod turns by less than this.

@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from studiorecon.arrays import spread_indices
-from studiorecon.geometry.bundle import remove_drift
+from studiorecon.geometry.camera_motion import remove_drift
 from studiorecon.geometry.rotations import angle
 from studiorecon.geometry.triangulation import Limits
 from studiorecon.rig.calibrated import pose_changes

@@ -73,7 +73,7 @@ def examine(
     if people:
         watched, good_px = active_cameras(detections, fps), 0.5 * limit_px
         refined = refine_on_people(
-            *(cameras, detections, watched, fit.median_px, good_px), *described, settings.bundle, rooms
+            *(cameras, detections, watched, fit.median_px, good_px), *described, settings.pose_error, rooms
         )
     if people and (fit.median_px is None or any(e is None or e > limit_px for e in fit.per_camera_px)):
         odd = find_outlier_camera(cameras, detections, chosen, *described)

@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from studiorecon.geometry.bundle import BundleSettings
+from studiorecon.geometry.camera_motion import PoseError
 from studiorecon.geometry.triangulation import Limits
 from studiorecon.rig.active_cameras import shared_frames
 from studiorecon.rig.agreement import error_medians
@@ -70,7 +70,7 @@ def refine_on_people(
     allowed_px: float,
     gate_m: float,
     limits: Limits,
-    bundle: BundleSettings,
+    error: PoseError,
     rooms: Sequence[RoomPicture | None] = (),
 ) -> RefinedCameras | None:
     """The refinement of ``cameras``; None where people show too little.
@@ -86,7 +86,7 @@ def refine_on_people(
         given,
         [detections[v] for v in watched],
         shared_frames(detections, _FRAMES),
-        *(gate_m, limits, bundle, median_px is None or not median_px < allowed_px),
+        *(gate_m, limits, error, median_px is None or not median_px < allowed_px),
         [rooms[v] for v in watched] if len(rooms) else (),
     )
     if found is None:
