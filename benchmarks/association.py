@@ -27,7 +27,8 @@ from studiorecon.keypoints.layouts import LAYOUTS
 from studiorecon.keypoints.tracking import drop_duplicates, track_ids
 from studiorecon.people import associate
 from studiorecon.people.association.acceptance import identities_from_keypoints
-from studiorecon.people.association.grouping import TrackComparison, groups_and_returns
+from studiorecon.people.association.gaps import group_tracks
+from studiorecon.people.association.grouping import TrackComparison
 from studiorecon.report.metrics.identity_scores import identity_scores
 from studiorecon.scene.camera import Camera, Lens
 from studiorecon.scene.files import write_json
@@ -54,12 +55,10 @@ POSE_RAD, DEPTH_M = 0.15, 0.1
 METHODS = {
     "tracks, rays, keypoints alone (default)": ({}, False),
     "tracks, rays, with bodies (default)": ({}, True),
-    "tracks, pelvis, both": ({"position": "pelvis"}, True),
-    "tracks, pelvis, only position": ({"position": "pelvis", "affinity": "position"}, True),
-    "tracks, only pose": ({"affinity": "pose"}, True),
-    "star, pelvis, both (the paper's)": ({"method": "star", "position": "pelvis"}, True),
-    "star, pelvis, only position": ({"method": "star", "position": "pelvis", "affinity": "position"}, True),
-    "star, only pose": ({"method": "star", "affinity": "pose"}, True),
+    "tracks, pelvis, both": ({"position": "scene"}, True),
+    "tracks, pelvis, only position": ({"position": "scene", "affinity": "position"}, True),
+    "star, pelvis, both (the paper's)": ({"method": "star", "position": "scene"}, True),
+    "star, pelvis, only position": ({"method": "star", "position": "scene", "affinity": "position"}, True),
     "star, rays, keypoints alone": ({"method": "star", "affinity": "position"}, False),
 }
 
@@ -187,7 +186,7 @@ def score(
         np.concatenate([d.frame for d in found]), view, np.concatenate(owners), np.concatenate(given)
     )
     compared = TrackComparison(found, take.cameras, FRAMES, 30.0, options.association, options.triangulation)
-    groups, _ = groups_and_returns(compared)
+    groups, _ = group_tracks(compared)
     margins = compared.pairs.margins([group.members for group in groups])
     return {
         "accuracy": scores.accuracy,

@@ -12,7 +12,6 @@ from __future__ import annotations
 import argparse
 import json
 import os
-import re
 import subprocess
 import sys
 import tempfile
@@ -193,8 +192,8 @@ def single(detector: str, folder: Path) -> dict[str, Any]:
         }
         workflow(folder, [f"results/{name}/people/p0.npz"], **given)
         fits[name] = read_person(folder / f"results/{name}/people/p0.npz")
-        report = (folder / f"logs/{name}/cameras/refine.log").read_text()
-        reported[name] = float(re.findall(r"([\d.]+) px", report)[-1])
+        refined = json.loads((folder / f"results/{name}/cameras/refinement.json").read_text())
+        reported[name] = round(refined["after_px"], 2)
     both = fits["found"].valid & fits["recorded"].valid
     return {
         "single_reprojection_px": reported["found"],

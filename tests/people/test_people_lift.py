@@ -13,12 +13,15 @@ from studiorecon.camera_files.colmap import write_model
 from studiorecon.errors import UserError
 from studiorecon.footage.exr import write_depth
 from studiorecon.footage.video import write_lossless
+from studiorecon.geometry.triangulation import Limits
 from studiorecon.keypoints.correspondence import stable_detections
 from studiorecon.keypoints.layouts import LAYOUTS
 from studiorecon.models.adapters import moge
 from studiorecon.models.catalogue.card import Card
 from studiorecon.people import lift
-from studiorecon.people.association.affinity import AssociationLimits, require_measured, track_pairs
+from studiorecon.people.association.affinity import AssociationLimits, track_pairs
+from studiorecon.people.association.gaps import group_tracks
+from studiorecon.people.association.grouping import TrackComparison
 from studiorecon.people.lift import Lifting, Settings
 from studiorecon.scene.camera import Camera
 from studiorecon.scene.people import Detections, read_detections, write_detections
@@ -224,13 +227,10 @@ def test_two_cameras_find_the_same_people_by_them(tmp_path: Path, monkeypatch: p
     # Beyond 0.3 m two pelvises are two people.
     assert similar[0, 1] == similar[1, 0] == 0
     nobody = [replace(one, pelvis=None) for one in found]
-    for position, messages in (
-        ("scene", "depth is unknown at every pelvis; set it to rays"),
-        ("pelvis", "set it to rays"),
-    ):
-        with pytest.raises(UserError, match=messages):
-            require_measured(nobody, cameras, replace(limits, position=position))
-    require_measured(nobody, cameras, replace(limits, position="rays"))
+    compared = TrackComparison(nobody, cameras, FRAMES, 30.0, limits, Limits())
+    with pytest.raises(UserError, match="depth is unknown at every pelvis; set it to rays"):
+        group_tracks(compared)
+    assert replace(compared, limits=replace(limits, position="rays")).pairs.nodes
 
 
 @pytest.mark.parametrize(

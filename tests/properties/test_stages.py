@@ -20,8 +20,8 @@ from studiorecon.geometry import rotations
 from studiorecon.geometry.triangulation import Limits
 from studiorecon.keypoints.layouts import LAYOUTS
 from studiorecon.people.associate import Settings as Association
-from studiorecon.people.association.group import Group
-from studiorecon.people.association.grouping import group_tracks
+from studiorecon.people.association.gaps import group_tracks
+from studiorecon.people.association.grouping import Group, TrackComparison
 from studiorecon.scene.camera import Camera
 from studiorecon.scene.people import Detections
 
@@ -97,7 +97,7 @@ def options(default_settings: Callable[..., dict]) -> Association:
 def grouped(found: list[Detections], cameras: list[Camera], options: Association) -> list[Group]:
     agree = options.triangulation
     assert isinstance(agree, Limits)
-    return group_tracks(found, cameras, FRAMES, 30.0, options.association, agree)
+    return group_tracks(TrackComparison(found, cameras, FRAMES, 30.0, options.association, agree))[0]
 
 
 def three_people(seed: int, cameras: list[Camera]) -> list[Detections]:

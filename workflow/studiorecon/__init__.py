@@ -79,7 +79,7 @@ if TYPE_CHECKING:
 
     from studiorecon.deliver.finished import FinishedScene
     from studiorecon.geometry.triangulation import TriangulatedPoints
-    from studiorecon.people.association.group import Group
+    from studiorecon.people.association.grouping import Group
     from studiorecon.rig.calibrated import CalibratedEstimate
     from studiorecon.scene.camera import Camera
     from studiorecon.scene.people import Detections
@@ -144,10 +144,11 @@ def associate(detections: Sequence[Detections], cameras: Sequence[Camera], fps: 
     """
     from studiorecon.geometry.triangulation import Limits
     from studiorecon.people.association.affinity import AssociationLimits
-    from studiorecon.people.association.grouping import group_tracks
+    from studiorecon.people.association.gaps import group_tracks
+    from studiorecon.people.association.grouping import TrackComparison
 
     frames = max((int(found.frame.max()) + 1 for found in detections if len(found.frame)), default=0)
-    return group_tracks(detections, cameras, frames, fps, AssociationLimits(), Limits())
+    return group_tracks(TrackComparison(detections, cameras, frames, fps, AssociationLimits(), Limits()))[0]
 
 
 def refine(cameras: Sequence[Camera], detections: Sequence[Detections]) -> CalibratedEstimate | None:

@@ -38,7 +38,6 @@ def make_plan(config: Mapping[str, Any], home: Path) -> Plan:
         )
     given_body = resolve_path(config["body"], home)
     source = config["calibration"]["source"]
-    position, affinity = (config["people"]["association"][key] for key in ("position", "affinity"))
     written = [f"results/{scene}/calibration/network/{name}.txt" for name in ("cameras", "images")]
     plan = Plan(
         dataset=dataset,
@@ -52,7 +51,7 @@ def make_plan(config: Mapping[str, Any], home: Path) -> Plan:
         identities=str(config["people"]["identities"] or dataset.identities or ""),
         person_sources=sources,
         networks=networks,
-        lifts_pelvises=dataset.people and position == "scene" and affinity != "pose",
+        lifts_pelvises=dataset.people and config["people"]["association"]["position"] == "scene",
         from_people=source == "people" or (source == "auto" and not dataset.calibration and bool(sources.cameras)),
         calibration=written if networks.cameras else [str(file) for file in dataset.calibration],
         segments=[segment_name(number) for number in range(len(dataset.training))],

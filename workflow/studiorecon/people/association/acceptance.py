@@ -19,9 +19,8 @@ import scipy
 from studiorecon.geometry.triangulation import Limits
 from studiorecon.people.association import terms
 from studiorecon.people.association.affinity import AssociationLimits
-from studiorecon.people.association.gaps import Return
-from studiorecon.people.association.group import Group
-from studiorecon.people.association.grouping import TrackComparison, groups_and_returns
+from studiorecon.people.association.gaps import Return, group_tracks
+from studiorecon.people.association.grouping import Group, TrackComparison
 from studiorecon.people.association.picture_terms import picture_terms
 from studiorecon.people.association.rejected_people import RejectedPerson, list_rejected
 from studiorecon.people.association.terms import Term, total_nats
@@ -69,7 +68,7 @@ def identities_from_keypoints(
     evidence other than its film.
     """
     compared = TrackComparison(given, cameras, frames, fps, association, triangulation)
-    groups, returns = groups_and_returns(compared, compare_clothes(cameras, videos) if videos else None)
+    groups, returns = group_tracks(compared, compare_clothes(cameras, videos) if videos else None)
     # The paper rejects nobody: each person of its reference view is one.
     about: list[list[Term]] = [[] for _ in groups]
     accepted = np.ones(len(groups), dtype=bool)
@@ -107,8 +106,7 @@ def _group_terms(
     rig_m, graph, fps = rig_sigma_m(compared), compared.pairs.graph, compared.fps
     about = []
     for group in groups:
-        between = np.ix_(*2 * [compared.rows(group)])
-        bones = terms.measure_bones(group.points_m)
+        between, bones = np.ix_(*2 * [compared.rows(group)]), group.bones
         extremities_m = compared.group(group.members, terms.EXTREMITIES).points_m
         about.append(
             [
@@ -196,7 +194,7 @@ def _row(number: int, group: Group, compared: TrackComparison) -> tuple[str, int
     """The line of people.tsv."""
     names = group.seen_by(compared.cameras)
     confidence = float(np.nanmean(group.agreement))
-    trunk_m = terms.trunk_length_m(terms.measure_bones(group.points_m))
+    trunk_m = terms.trunk_length_m(group.bones)
     torso = f", torso {trunk_m:.2f} m" if np.isfinite(trunk_m) else ""
     say(
         f"p{number}: seen in {len(group.frames)} of {compared.frames} frames by {', '.join(names)}; "

@@ -15,8 +15,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 import scipy
 
-from studiorecon.people.association.group import Group
-from studiorecon.people.association.terms import Bones, Ratio, Term, measure_bones
+from studiorecon.people.association.grouping import Group, TrackComparison, groups_at_once
+from studiorecon.people.association.terms import Bones, Ratio, Term
 
 if TYPE_CHECKING:
     from jaxtyping import Float
@@ -59,21 +59,21 @@ class Return:
     joined: bool
 
 
-def join_over_gaps(
-    groups: Sequence[Group],
-    fps: float,
-    merge: Callable[[list[tuple[int, int]]], Group],
-    clothes: Clothes | None = None,
-) -> tuple[list[Group], list[Return]]:
-    """The groups, joined by ``merge`` where they are one person, and every return that is decided or in question."""
+def group_tracks(compared: TrackComparison, clothes: Clothes | None = None) -> tuple[list[Group], list[Return]]:
+    """All groups of at least two cameras, joined over gaps where they are one person, and every return that is decided
+    or in question; ``clothes`` compares two groups. ``acceptance`` decides which groups are people.
+    """
+    groups = groups_at_once(compared)
+    if compared.limits.method == "star":
+        return groups, []
     known = [np.flatnonzero(np.isfinite(g.centres_m).all(-1)) for g in groups]
-    bones, area_m2 = [measure_bones(g.points_m) for g in groups], _area_m2(groups)
+    area_m2, fps, rows = _area_m2(groups), compared.fps, [compared.rows(g) for g in groups]
     terms: dict[tuple[int, int], tuple[Term, ...]] = {}
     nats = np.full((len(groups),) * 2, -np.inf)
     for (i, first), (j, second) in permutations(enumerate(groups), 2):
         follows = len(known[i]) and len(known[j]) and known[i][-1] < known[j][0]
-        if follows and not (first.detected & second.detected).any():
-            own = [_way(first, second, known[i][-1], known[j][0], fps, area_m2), _size(bones[i], bones[j])]
+        if follows and not compared.pairs.forbidden[np.ix_(rows[i], rows[j])].any():
+            own = [_way(first, second, known[i][-1], known[j][0], fps, area_m2), _size(first.bones, second.bones)]
             if clothes is not None and sum(term.nats for term in own) > -2 * REACH_NATS:
                 own.append(_worn(clothes(first, second)))
             terms[i, j], nats[i, j] = tuple(own), sum(term.nats for term in own)
@@ -94,7 +94,8 @@ def join_over_gaps(
         chain = [i]
         while chain[-1] in after:
             chain.append(after[chain[-1]])
-        out.append(groups[i] if len(chain) == 1 else merge([m for k in chain for m in groups[k].members]))
+        whole = [m for k in chain for m in groups[k].members]
+        out.append(groups[i] if len(chain) == 1 else compared.group(whole))
     return out, returns
 
 

@@ -1,26 +1,70 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Groups of per-camera tracks that may be one person: chosen by rays, and triangulated."""
+"""Groups of per-camera tracks that may be one person: chosen by affinity, and triangulated."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
+from typing import TYPE_CHECKING
 
 import numpy as np
 
+from studiorecon.errors import UserError
 from studiorecon.geometry.groups import groups_by_affinity
 from studiorecon.geometry.triangulation import Limits, triangulate
 from studiorecon.keypoints.correspondence import STABLE_KEYPOINTS, stable_detections
 from studiorecon.keypoints.tracking import match_detections
-from studiorecon.people.association.affinity import AssociationLimits, TrackPairs, require_measured, track_pairs
-from studiorecon.people.association.gaps import Clothes, Return, join_over_gaps
-from studiorecon.people.association.group import Group
+from studiorecon.people.association.affinity import AssociationLimits, TrackPairs, track_pairs
+from studiorecon.people.association.terms import Bones, measure_bones
 from studiorecon.scene.camera import Camera
 from studiorecon.scene.people import Detections
 
+if TYPE_CHECKING:
+    from jaxtyping import Bool, Float, Integer
+
 # A camera sees a person in a frame where so many of the stable keypoints agree with the others'.
 _MIN_AGREEING = 3
+
+
+@dataclass(frozen=True)
+class Group:
+    """Tracks that may show one person.
+
+    Attributes:
+        members: (view, track) pairs, sorted.
+        points_m: stable keypoints, NaN where undetermined.
+        agreement: share of each view's keypoints that agree with the points, NaN where it has none.
+        seen: (V, T) bool: the view has at least three agreeing keypoints in that frame.
+    """
+
+    members: tuple[tuple[int, int], ...]
+    points_m: Float[np.ndarray, "T K 3"]
+    agreement: Float[np.ndarray, " V"]
+    seen: Bool[np.ndarray, "V T"]
+
+    @property
+    def frames(self) -> Integer[np.ndarray, " F"]:
+        """Frames in which at least two cameras agree."""
+        return np.flatnonzero(self.seen.sum(0) >= 2)
+
+    def seen_by(self, cameras: Sequence[Camera]) -> list[str]:
+        """Names of the cameras that see the group."""
+        return [camera.name for camera, seen in zip(cameras, self.seen) if seen.any()]
+
+    @cached_property
+    def bones(self) -> Bones:
+        """Its bones' lengths."""
+        return measure_bones(self.points_m)
+
+    @cached_property
+    def centres_m(self) -> Float[np.ndarray, "T 3"]:
+        """Median of the determined keypoints, NaN where there are none."""
+        known = np.isfinite(self.points_m).all(-1)
+        centres = np.full((len(self.points_m), 3), np.nan)
+        for t in np.flatnonzero(known.any(-1)):
+            centres[t] = np.median(self.points_m[t, known[t]], axis=0)
+        return centres
 
 
 @dataclass(frozen=True)
@@ -45,8 +89,13 @@ class TrackComparison:
 
     @cached_property
     def pairs(self) -> TrackPairs:
-        """Affinities of all tracks; raises UserError when the settings need data that no detection has."""
-        require_measured(self.detections, self.cameras, self.limits)
+        """Affinities of all tracks; raises UserError when they need depth, and no pelvis has any."""
+        if self.limits.position == "scene" and not any(
+            d.pelvis is not None and np.isfinite(d.pelvis).all(1).any() for d in self.detections
+        ):
+            raise UserError(
+                "people.association.position is scene, but the scene's depth is unknown at every pelvis; set it to rays"
+            )
         return track_pairs(self.detections, self.stable, self.cameras, self.limits)
 
     def rows(self, group: Group) -> list[int]:
@@ -56,11 +105,11 @@ class TrackComparison:
     def group(self, members: Sequence[tuple[int, int]], keypoints: Sequence[str] = STABLE_KEYPOINTS) -> Group:
         """The group of ``members`` (view, track), with its triangulated ``keypoints``."""
         shape = len(self.cameras), self.frames, len(keypoints)
-        seen, detected = np.full((*shape, 3), [np.nan, np.nan, 0.0]), np.zeros(shape[:2], dtype=bool)
+        seen = np.full((*shape, 3), [np.nan, np.nan, 0.0])
         found = self.stable if keypoints is STABLE_KEYPOINTS else stable_detections(self.detections, None, keypoints)
         for view, track in members:
             own = found[view].only(found[view].track == track)
-            seen[view, own.frame], detected[view, own.frame] = own.keypoints, True
+            seen[view, own.frame] = own.keypoints
         flat = seen.reshape(shape[0], -1, 3)
         points = triangulate(flat[..., :2], flat[..., 2], self.cameras, self.agree)
         inliers = points.inliers.reshape(shape)
@@ -68,38 +117,21 @@ class TrackComparison:
         total = judged.sum((1, 2))
         agreement = np.where(total > 0, (inliers & judged).sum((1, 2)) / np.maximum(total, 1), np.nan)
         points_m, often = points.points_m.reshape(*shape[1:], 3), inliers.sum(-1) >= _MIN_AGREEING
-        return Group(tuple(sorted(members)), points_m, agreement, often, detected)
+        return Group(tuple(sorted(members)), points_m, agreement, often)
 
 
-def group_tracks(
-    detections: Sequence[Detections],
-    cameras: Sequence[Camera],
-    frames: int,
-    fps: float,
-    limits: AssociationLimits,
-    agree: Limits,
-) -> list[Group]:
-    """All groups of at least two cameras; ``acceptance`` decides which are people.
+def groups_at_once(compared: TrackComparison) -> list[Group]:
+    """All groups of at least two cameras whose tracks share frames.
 
-    ``limits.method`` "tracks": whole tracks of all views together, joined over gaps. "star":
-    the paper's single frame and reference view, unchanged.
+    ``limits.method`` "tracks": whole tracks of all views together. "star": the paper's single frame and reference view,
+    unchanged.
     """
-    return groups_and_returns(TrackComparison(detections, cameras, frames, fps, limits, agree))[0]
-
-
-def groups_and_returns(compared: TrackComparison, clothes: Clothes | None = None) -> tuple[list[Group], list[Return]]:
-    """All groups of the compared detections, and possible returns of people; ``clothes`` compares two groups."""
     if compared.limits.method == "star":
-        return [compared.group(members) for members in _stars(compared)], []
+        return [compared.group(members) for members in _stars(compared)]
     pairs = compared.pairs
     # A person who is always present is not outvoted by false detections in short stretches.
-    affinity = np.nan_to_num(pairs.affinity) * pairs.graph.moments
-    # Whatever the affinity goes by, rays decide where they are known: those that pass each other show two people.
-    apart = pairs.graph.distance_m >= compared.limits.gate_m
-    forbidden = np.where(np.isnan(pairs.graph.distance_m), pairs.forbidden, apart)
-    chosen = groups_by_affinity(np.where(apart, 0.0, affinity), forbidden)
-    groups = [compared.group([pairs.nodes[n] for n in rows]) for rows in chosen]
-    return join_over_gaps(groups, compared.fps, compared.group, clothes)
+    chosen = groups_by_affinity(np.nan_to_num(pairs.affinity) * pairs.graph.moments, pairs.forbidden)
+    return [compared.group([pairs.nodes[n] for n in rows]) for rows in chosen]
 
 
 def _stars(compared: TrackComparison) -> list[list[tuple[int, int]]]:

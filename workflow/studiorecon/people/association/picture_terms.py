@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from studiorecon.footage.video import read_frames
-from studiorecon.people.association.group import Group
+from studiorecon.people.association.grouping import Group
 from studiorecon.people.association.terms import Ratio, Term
 from studiorecon.people.pictures.change import LIMB_ENDS, PICTURES, motion_support, sample_frames, steps_m
 from studiorecon.people.pictures.coverage import CameraEvidence, mask_coverage, plate_difference_share

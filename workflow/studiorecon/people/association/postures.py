@@ -7,7 +7,7 @@ directions of limbs, shoulders and face, left and right distinguished. It does n
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Literal
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -30,32 +30,12 @@ _DIRECTIONS = (
 )
 _NEEDED = {name for ends in _DIRECTIONS for end in ends for name in end}
 
-Postures = tuple["Float[np.ndarray, 'D 23 3']", "Float[np.ndarray, 'D 12 3']"]
-"""Axis-angles of monocular bodies' joints, and directions of limbs in the world, of D detections; NaN where unknown."""
-
-
-def postures(found: Detections, camera: Camera) -> Postures:
-    """The postures of the detections of ``camera``."""
-    joints = np.full((len(found.frame), 23, 3), np.nan) if found.body_pose is None else found.body_pose
-    return joints, limb_directions(found, camera)
-
-
-def posture_differences_rad(
-    first: Postures, second: Postures, distance: Literal["angle", "axis_angles"]
-) -> Float[np.ndarray, " D"]:
-    """Angle between the postures of D detections and D others: of joints where both have bodies, else of limbs."""
-    of_joints = joint_differences_rad if distance == "angle" else parameter_differences_rad
-    joints = of_joints(first[0], second[0])
-    return np.where(np.isfinite(joints), joints, limb_differences_rad(first[1], second[1]))
-
 
 def joint_differences_rad(
     first: Float[np.ndarray, "... J 3"], second: Float[np.ndarray, "... J 3"]
 ) -> Float[np.ndarray, " ..."]:
     """Mean angle between the rotations of body joints, axis-angles, without the root (A06-A08); NaN where unknown."""
-    known = np.isfinite(first).all((-2, -1)) & np.isfinite(second).all((-2, -1))
-    turns = [rotations.exp(np.where(known[..., None, None], one, 0.0)) for one in (first, second)]
-    return np.where(known, rotations.angle(*turns).mean(-1), np.nan)
+    return rotations.angle(rotations.exp(first), rotations.exp(second)).mean(-1)
 
 
 def parameter_differences_rad(

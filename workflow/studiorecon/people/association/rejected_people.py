@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from studiorecon.people.association.group import Group
+from studiorecon.people.association.grouping import Group
 from studiorecon.people.association.terms import Term, strongest_objections, total_nats
 from studiorecon.progress import say, warn
 from studiorecon.scene.camera import Camera

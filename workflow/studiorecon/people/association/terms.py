@@ -14,11 +14,12 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from studiorecon.keypoints.correspondence import STABLE_KEYPOINTS
-from studiorecon.people.association.group import Group
 from studiorecon.scene.camera import Camera
 
 if TYPE_CHECKING:
     from jaxtyping import Float
+
+    from studiorecon.people.association.grouping import Group
 
 
 @dataclass(frozen=True)

@@ -13,7 +13,7 @@ import numpy as np
 from studiorecon.footage.video import read_frames
 from studiorecon.keypoints.correspondence import STABLE_KEYPOINTS
 from studiorecon.people.association.gaps import Clothes
-from studiorecon.people.association.group import Group
+from studiorecon.people.association.grouping import Group
 from studiorecon.people.pictures.change import PICTURES, sample_frames
 from studiorecon.scene.camera import Camera
 

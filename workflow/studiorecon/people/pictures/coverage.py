@@ -15,7 +15,7 @@ from studiorecon.footage.stills import read_plate
 from studiorecon.footage.video import read_frames
 from studiorecon.geometry.lens import video_from_working
 from studiorecon.images.channels import channel_max
-from studiorecon.people.association.group import Group
+from studiorecon.people.association.grouping import Group
 from studiorecon.people.pictures.change import PICTURES, count_changed_places, normalise_picture, sample_frames
 from studiorecon.scene.camera import Camera, Lens
 from studiorecon.scene.capture import Footage
