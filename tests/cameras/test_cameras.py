@@ -370,7 +370,7 @@ def test_a_calibration_of_other_cameras_is_refused(tmp_path, options):
     ("place", "metres", "radians"),
     [
         ("cameras/refine.py _nothing_agrees", 10.0, 0.0),
-        ("cameras/calibration_check.py Check.refuse_cameras 2", 1.0, 0.35),
+        ("cameras/calibration_check.py Check.refuse_other_starts 2", 1.0, 0.35),
     ],
 )
 def test_a_calibration_that_fits_nothing_is_refused_and_the_right_one_is_used(

@@ -15,8 +15,8 @@ from studiorecon.calibration.files import Settings, read_calibration
 from studiorecon.geometry.triangulation import Limits
 from studiorecon.keypoints.detections import to_pinhole
 from studiorecon.rig.correspondences import make_observations
-from studiorecon.rig.human_size import check_human_size, check_units
-from studiorecon.rig.hypotheses import check_conventions
+from studiorecon.rig.human_size import check_human_size
+from studiorecon.rig.starts import calibration_starts, compare
 from studiorecon.scene.camera import Camera
 from studiorecon.scene.people import Detections
 
@@ -79,8 +79,7 @@ class Capture:
         lenses = self.lenses(folder)
         both = [to_pinhole(self.detected(lens.name), lens, self.wh) for lens in lenses]
         cameras, seen = [c for c, _ in both], [d for _, d in both]
-        check_conventions(cameras, seen, np.arange(0, FRAMES, 4), 0.25)
-        check_units(cameras, seen, np.arange(FRAMES), 0.25, LIMITS)
+        compare(calibration_starts(cameras, seen), np.arange(FRAMES), 0.25).refuse_others(np.arange(FRAMES), 0.25)
         assert (
             check_human_size(cameras, make_observations(seen, cameras, np.arange(FRAMES), 0.25)[0], LIMITS) is not None
         )
@@ -113,14 +112,14 @@ SIDEWAYS = {"settings": {"up": "z"}}
 
 # What is brought, where it is said, and the same once that was done.
 ROWS = {
-    "scale": (Capture(cameras=moved(0.2)), "rig/human_size.py check_human_size", {"settings": {"scale": 5.0}}),
-    "unit cm": (Capture(cameras=moved(100.0), settings={"unit": "mm"}), "rig/human_size.py check_human_size",
+    "scale": (Capture(cameras=moved(0.2)), "rig/human_size.py size_refusal", {"settings": {"scale": 5.0}}),
+    "unit cm": (Capture(cameras=moved(100.0), settings={"unit": "mm"}), "rig/human_size.py size_refusal",
         {"settings": {"unit": "cm"}}),
-    "unit mm": (Capture(cameras=moved(1000.0), settings={"unit": "m"}), "rig/human_size.py check_units",
+    "unit mm": (Capture(cameras=moved(1000.0), settings={"unit": "m"}), "rig/human_size.py size_refusal",
         {"settings": {"unit": "mm"}}),
-    "poses": (Capture(cameras=INVERSE, **SIDEWAYS), "rig/hypotheses.py check_conventions",
+    "poses": (Capture(cameras=INVERSE, **SIDEWAYS), "rig/starts.py Comparison.refuse_others",
         {"settings": {"poses": "world_from_camera", "up": "z"}}),
-    "axes": (Capture(cameras=OPENGL, **SIDEWAYS), "rig/hypotheses.py check_conventions",
+    "axes": (Capture(cameras=OPENGL, **SIDEWAYS), "rig/starts.py Comparison.refuse_others",
         {"settings": {"poses": "opengl", "up": "z"}}),
     "pixel_maps": (Capture(all={"size": list(OTHER)}), "geometry/lens.py calibration_from_video_pixels",
         {"pixel_maps": dict.fromkeys(NAMES, (1.0, 0.0, 0.0))}),

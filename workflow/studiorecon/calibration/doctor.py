@@ -31,9 +31,9 @@ from studiorecon.keypoints.detections import to_pinhole
 from studiorecon.keypoints.resampling import resample_keypoints
 from studiorecon.progress import say
 from studiorecon.rig.contact_sheet import contact_sheet
-from studiorecon.rig.hypotheses import LENS_READINGS
 from studiorecon.rig.lens_model import LensReading, reinterpret_lens
 from studiorecon.rig.room_picture import RoomPicture
+from studiorecon.rig.starts import LENS_READINGS
 from studiorecon.scene.camera import Camera, Lens
 from studiorecon.scene.clocks import ClockFinding, Clocks, read_clock_findings, read_clocks
 from studiorecon.scene.files import write_json, write_text

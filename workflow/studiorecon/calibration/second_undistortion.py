@@ -11,12 +11,13 @@ from dataclasses import replace
 
 import numpy as np
 
-from studiorecon.calibration.people_evidence import NOISE_SHARE, agreement, best_candidate
+from studiorecon.calibration.people_evidence import agreement, best_candidate
 from studiorecon.geometry.lens import video_from_working
 from studiorecon.keypoints.detections import to_pinhole
 from studiorecon.keypoints.motion import Motion
 from studiorecon.keypoints.motion_agreement import Score, moving_keypoints, score_reading
 from studiorecon.rig.lens_model import reinterpret_lens
+from studiorecon.rig.starts import NOISE_SHARE
 from studiorecon.scene.camera import Lens
 from studiorecon.scene.people import Detections
 

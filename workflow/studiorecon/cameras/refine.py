@@ -89,11 +89,11 @@ def decide(
     chosen = spread_indices(frames, settings.frames)
     seen, graph = make_observations(detections, training, chosen, settings.gate_m)
     medians = error_medians(training, seen, settings.limits)
-    check = Check(training, detections, chosen, seen, graph, *medians, settings)
-    found = check.estimate(watched, rooms)
-    moved = found is not None and found[0].freedom == "moved"
-    report["hypotheses"] = [] if moved else check.refuse_conventions()
-    if not moved and not len(seen.frame):
+    check = Check(training, detections, chosen, seen, *medians, settings)
+    found = check.refined(watched, rooms)
+    compared = check.refuse_other_starts(found)
+    report |= {"hypotheses": compared.rows(), "margin": compared.margin}
+    if found is None and not len(seen.frame):
         own = np.isin(graph.view, watched)
         return _nothing_agrees(training, held_out, graph.distance_m[np.ix_(own, own)], report, settings)
     adjusted = training
@@ -101,14 +101,12 @@ def decide(
     report["before_px"] = check.median_px if np.isfinite(check.median_px) else None
     report["before_px_per_camera"] = check.per_camera_px
     if found is not None:
-        _, adjusted, seen = found
-    after_px, per_camera_px, points = error_medians(adjusted, seen, settings.limits)
-    check.refuse_cameras(after_px if moved else np.inf)
-    if found is not None:
+        adjusted, (seen, _) = found.cameras, make_observations(found.detections, found.cameras, chosen, settings.gate_m)
         report |= estimate_report(
-            found[0], [training[v] for v in watched], [rooms[v] for v in watched] if len(rooms) else ()
+            found.estimate, [training[v] for v in watched], [rooms[v] for v in watched] if len(rooms) else ()
         )
         log_changes(report)
+    after_px, per_camera_px, points = error_medians(adjusted, seen, settings.limits)
     report |= {"after_px": after_px, "after_px_per_camera": per_camera_px}
     if after_px > check.limit_px:
         worst_px, worst = max((e, name) for e, name in zip(per_camera_px, names) if e is not None)

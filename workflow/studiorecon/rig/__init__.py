@@ -27,7 +27,8 @@ Calibrated cameras
     ``calibrated``        what people and the room require of them
     ``room_evidence``     what the empty room shows of them
     ``held_out_pose``     held-out cameras
-    ``hypotheses``        other readings of poses
+    ``refined_cameras``   … of those that see people, beside the others
+    ``starts``            other readings of a calibration
     ``lens_model``        other readings of lenses
     ``outlier_camera``    one camera that all others contradict
     ``residuals``         why people's rays do not meet

@@ -20,8 +20,9 @@ from studiorecon.keypoints.correspondence import STABLE_KEYPOINTS, stable_detect
 from studiorecon.progress import warn
 from studiorecon.rig.agreement import contradicted_share
 from studiorecon.rig.correspondences import Observations, make_observations
+from studiorecon.rig.from_tracks import scale_camera
 from studiorecon.rig.human_size import UNITS_PER_METRE
-from studiorecon.rig.hypotheses import POSE_READINGS, scaled_pose
+from studiorecon.rig.starts import CONVENTIONS, error_nats, posed
 from studiorecon.scene.camera import Camera
 from studiorecon.scene.people import Detections
 
@@ -51,10 +52,10 @@ _MAX_TURNED_DEG = 45.0
 _COUNT = len(STABLE_KEYPOINTS)
 _OTHER_SIDE = np.arange(_COUNT).reshape(-1, 2)[:, ::-1].reshape(-1)
 _FOCAL = np.geomspace(1 / 40, 40, 75)
-_CONVENTIONS = {
-    "were world-from-camera": "poses are world-from-camera",
-    "had OpenGL's axes": "axes are OpenGL's",
-    "were world-from-camera with OpenGL's axes": "world-from-camera with OpenGL axes",
+_CAUSES = {
+    "poses are world-from-camera": "were world-from-camera",
+    "axes are OpenGL's": "had OpenGL's axes",
+    "world-from-camera with OpenGL axes": "were world-from-camera with OpenGL's axes",
 }
 
 
@@ -112,32 +113,29 @@ def find_outlier_camera(
         return None
     chosen = frames[spread_indices(len(frames), _FRAMES)]
     own = [_by_frame(d, chosen) for d in stable_detections(detections)]
-    without: list[tuple[int, int, np.ndarray]] = []
-    for v in range(len(cameras)):
+    found: list[tuple[float, OutlierCamera]] = []
+    for v, camera in enumerate(cameras):
         rest = [k for k in range(len(cameras)) if k != v]
         points = _points([cameras[k] for k in rest], [detections[k] for k in rest], chosen, gate_m, limits)
-        without.append((int(np.isfinite(points[..., 0]).sum()), v, points))
-    if len(cameras) > 3:  # the one whose removal leaves the most points on which three others agree
-        without = [max(without, key=lambda row: row[0])]
-    found: list[tuple[float, OutlierCamera]] = []
-    for count, v, points in without:
-        rest = [k for k in range(len(cameras)) if k != v]
-        usual = float(np.median([_share(points, own[k], cameras[k])[0] for k in rest]))
-        share, counted = _share(points, own[v], cameras[v])
-        if min(count, counted) < _MIN_POINTS or usual < _OTHERS_AGREE or share > _CONTRADICTED * usual:
+        usual = float(np.median([_agreement(points, own[k], cameras[k])[0] for k in rest]))
+        share, _, counted = _agreement(points, own[v], camera)
+        if (
+            min(np.isfinite(points[..., 0]).sum(), counted) < _MIN_POINTS
+            or usual < _OTHERS_AGREE
+            or share > _CONTRADICTED * usual
+        ):
             continue
         readings = _readings(v, cameras, detections, own, chosen, points)
-        then, best = max(((_share(points, r.seen, r.camera)[0], r) for r in readings), key=lambda row: row[0])
+        tried = [(_agreement(points, r.seen, r.camera), r) for r in readings]
+        (then, score, _), best = max(tried, key=lambda row: (row[0][0] >= _EXPLAINED * usual, row[0][1]))
         if then >= _EXPLAINED * usual:
-            found.append(
-                (then / usual, OutlierCamera(cameras[v].name, share, then, best.cause, best.remedy, best.turned))
-            )
-        elif len(cameras) > 3 and _in_picture(points, cameras[v]) >= _MIN_POINTS:
+            found.append((score, OutlierCamera(camera.name, share, then, best.cause, best.remedy, best.turned)))
+        elif len(cameras) > 3 and _in_picture(points, camera) >= _MIN_POINTS:
             remedy = (
                 "check that its video, keypoints and calibration are of one camera and one take, or leave it out "
                 f"(train: [{', '.join(cameras[k].name for k in rest)}] in capture.yaml)"
             )
-            found.append((0.0, OutlierCamera(cameras[v].name, share, share, "", remedy)))
+            found.append((0.0, OutlierCamera(camera.name, share, share, "", remedy)))
     return max(found, key=lambda row: row[0], default=(0.0, None))[1]
 
 
@@ -174,23 +172,22 @@ def _project(points_m: np.ndarray, camera: Camera) -> np.ndarray:
     return np.where((np.nan_to_num(depth) > 0)[..., None] & np.isfinite(pixels), pixels, np.nan)
 
 
-def _share(points_m: np.ndarray, seen: np.ndarray, camera: Camera) -> tuple[float, int]:
-    """Share of a camera's keypoints (F, M, K, 2) that are at the points (F, G, K, 3), and the number of such keypoints.
+def _agreement(points_m: np.ndarray, seen: np.ndarray, camera: Camera) -> tuple[float, float, int]:
+    """Share of a camera's keypoints (F, M, K, 2) that are at the points (F, G, K, 3), their mean log-likelihood ratio
+    against chance, and their number.
 
-    Only keypoints in frames with a known joint of the same name count; (0, 0) with too few frames.
+    Only keypoints in frames with a known joint of the same name count; zeros with too few frames.
     """
     known = np.isfinite(points_m[..., 0]).any(axis=1)  # (F, K)
     counted = np.isfinite(seen[..., 0]) & known[:, None]
     if counted.any(axis=(1, 2)).sum() < _MIN_FRAMES:
-        return 0.0, 0
-    where = _project(points_m, camera)
-    with np.errstate(over="ignore"):
-        apart = np.linalg.norm(seen[:, :, None] - where[:, None], axis=-1)
+        return 0.0, 0.0, 0
     with np.errstate(divide="ignore", over="ignore", invalid="ignore"):
+        apart = np.linalg.norm(seen[:, :, None] - _project(points_m, camera)[:, None], axis=-1)
         metres_px = _REACH_M * camera.focal_px[0] / camera.project(points_m)[1]
-    reach = np.fmax(_REACH_SHARE * max(camera.wh), metres_px)[:, None]
-    near = (np.nan_to_num(apart, nan=np.inf) <= reach).any(axis=2)
-    return float(near[counted].mean()), int(counted.sum())
+    gate = np.fmax(_REACH_SHARE, metres_px / max(camera.wh))[:, None]
+    nats = error_nats(np.nan_to_num(apart, nan=np.inf) / max(camera.wh), gate).max(axis=2)[counted]
+    return float((nats > 0).mean()), float(nats.mean()), int(counted.sum())
 
 
 def _in_picture(points_m: np.ndarray, camera: Camera) -> int:
@@ -209,34 +206,31 @@ def _readings(
 ) -> Iterator[_Reading]:
     """Yields camera ``v`` with one property changed at a time; of two equally good ones the first counts."""
     camera, seen = cameras[v], own[v]
-    for k in range(len(cameras)):
-        if k != v and _same(seen, own[k]):
-            cause = f"they were those of {cameras[k].name} (the files are identical)"
-            yield _Reading(cause, f"bring the footage or keypoints of {camera.name}", cameras[k], seen)
     check_video = "bring its video and keypoints from the calibrated camera"
+    for k, other in enumerate(cameras):
+        if k != v and _same(seen, own[k]):
+            cause = f"they were those of {other.name} (the files are identical)"
+            yield _Reading(cause, f"bring the footage or keypoints of {camera.name}", other, seen)
+        if k != v:
+            remedy = f"exchange its files with those of {other.name}, or bring them again"
+            there = replace(camera, camera_from_world=other.camera_from_world)
+            yield _Reading(f"its pose were that of {other.name}", remedy, there, seen)
     pixels = affine(1, 1)
-    mirrored, *others = [*turned_readings(camera.wh, pixels, pixels), *size_readings(camera.wh, 0.0)]
-    across = apply_reading(mirrored.film_from_recorded, seen)
-    yield _Reading("its video were mirrored", check_video, camera, across[:, :, _OTHER_SIDE])
-    yield _Reading(f"its keypoints were {mirrored.words}", check_video, camera, across)
-    for reading in others:
+    for reading in [*turned_readings(camera.wh, pixels, pixels), *size_readings(camera.wh, 0.0)]:
         shown = apply_reading(reading.film_from_recorded, seen)
         yield _Reading(f"its keypoints were {reading.words}", check_video, camera, shown)
-    for k in range(len(cameras)):
-        if k != v:
-            remedy = f"exchange its files with those of {cameras[k].name}, or bring them again"
-            there = replace(camera, camera_from_world=cameras[k].camera_from_world)
-            yield _Reading(f"its pose were that of {cameras[k].name}", remedy, there, seen)
+        if reading.words.startswith("mirrored"):
+            yield _Reading("its video were mirrored", check_video, camera, shown[:, :, _OTHER_SIDE])
     moved = _offset_px(points_m, seen, camera)
     if moved is not None:
         right, down = (-moved).round().astype(int)
         cause = f"they were {right} px further right and {down} px further down, as in an uncropped picture"
         turned_deg = float(np.degrees(np.arctan(np.linalg.norm(moved / camera.focal_px))))
-        if turned_deg < _MAX_TURNED_DEG:
+        turned, remedy = turned_deg < _MAX_TURNED_DEG, check_video
+        if turned:
             cause += f", or by a camera that has not been turned by {turned_deg:.0f}° since it was calibrated"
-            yield _Reading(cause, f"{check_video}, or calibrate it again", camera, seen - moved, turned=True)
-        else:
-            yield _Reading(cause, check_video, camera, seen - moved)
+            remedy += ", or calibrate it again"
+        yield _Reading(cause, remedy, camera, seen - moved, turned)
     yield from _calibration_readings(camera, seen)
     for lag in range(-_MAX_LAG, _MAX_LAG + 1):
         if lag:
@@ -259,13 +253,11 @@ def _offset_px(points_m: np.ndarray, seen: np.ndarray, camera: Camera) -> np.nda
 
 def _calibration_readings(camera: Camera, seen: np.ndarray) -> Iterator[_Reading]:
     """The same, with another lens or pose in the calibration."""
-    given = camera.camera_from_world
-    poses = {cause: POSE_READINGS[reading](given) for cause, reading in _CONVENTIONS.items()}
+    poses = {_CAUSES[name]: posed(camera, change) for name, (change, _) in CONVENTIONS.items()}
     for unit, per_metre in UNITS_PER_METRE.items():
-        poses[f"were in {unit}"] = scaled_pose(given, 1 / per_metre)
-        poses[f"were in metres, not {unit}"] = scaled_pose(given, per_metre)
-    for cause, pose in poses.items():
-        there = replace(camera, camera_from_world=pose)
+        poses[f"were in {unit}"] = scale_camera(camera, 1 / per_metre)
+        poses[f"were in metres, not {unit}"] = scale_camera(camera, per_metre)
+    for cause, there in poses.items():
         yield _Reading(f"its pose in the calibration {cause}", "correct it there", there, seen)
     for factor in _FOCAL:
         intrinsics = np.array(camera.intrinsics, dtype=np.float64)

@@ -9,12 +9,11 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from studiorecon.calibration.checks.edges import edge_sentence, is_beyond_refinement
+from studiorecon.rig.starts import LENS_READINGS
 
 if TYPE_CHECKING:
     from jaxtyping import Integer
 
-CLEAR_MARGIN = 1.5
-_MIN_AGREEMENT = 0.3
 _UNEVEN_LIGHT = 1.5
 # Levels of 255: decoders round grey by less, and the dullest room has ten times as much colour.
 _GREY = 1.0
@@ -46,10 +45,7 @@ def verdict(report: dict[str, Any], limit_px: float) -> tuple[str, list[str]]:
     ``cameras.refine`` stops.
     """
     refused = [report["sync"]["refusal"]] if report["sync"]["refusal"] else []
-    unit_known = any(
-        row["hypothesis"].startswith("lengths") and row["score"] > _MIN_AGREEMENT for row in report["hypotheses"]
-    )
-    if report["lengths"] and not unit_known:
+    if report["lengths"] and not report["required"]:
         # No other check is valid in lengths that are not metres; a sentence about their unit follows below.
         return "wrong", [*refused, report["lengths"]]
     with_keypoints = len(report["cameras"]) - len(report["without_keypoints"])
@@ -74,7 +70,7 @@ def verdict(report: dict[str, Any], limit_px: float) -> tuple[str, list[str]]:
             "at once?"
         ]
     off = _off(report)
-    if report["refined"] is not None and report["refined"]["elsewhere"] and not _better_read(report):
+    if report["refined"] is not None and report["refined"]["elsewhere"] and not report["required"]:
         # Cameras that were moved since: nothing fits as read, another reading may seem to fit, and refinement corrects
         # it.
         wrong, unclear = [report["outlier_camera"]] if report["outlier_camera"] else [], []
@@ -107,22 +103,13 @@ def edge_agreement_note(report: dict[str, Any]) -> str:
 
 def _wrong(report: dict[str, Any], limit_px: float) -> list[str]:
     rows = {row["hypothesis"]: row for row in report["hypotheses"]}
-    best = max((r for r in report["hypotheses"] if "median_px" not in r), key=lambda row: row["score"])
-    as_read = rows["as read"]
     found = [report["outlier_camera"]] if report["outlier_camera"] else []
-    if best["score"] > _MIN_AGREEMENT and best["score"] > CLEAR_MARGIN * as_read["score"]:
+    if required := report["required"]:
+        row, as_read = rows[required[0]], rows["as read"]
         found.append(
-            f"people fit if {best['hypothesis']} (agreement {best['score']:.2f}, "
-            f"{as_read['score']:.2f} as read): {best['remedy']}, or "
-            "export the calibration again"
+            f"people fit if {' or '.join(required)} (agreement {row['score']:.2f}, {as_read['score']:.2f} as read): "
+            f"{row['remedy']}, or export the calibration again"
         )
-    for row in report["hypotheses"]:
-        px, now = row.get("median_px"), report["median_px"]
-        if px is not None and now is not None and CLEAR_MARGIN * px < now and row["score"] >= as_read["score"]:
-            found.append(
-                f"people fit better if {row['hypothesis']} ({px:.1f} px off in the median, "
-                f"{now:.1f} px as read): {row['remedy']}"
-            )
     if report["median_px"] is not None and report["median_px"] > limit_px:
         worst = max((px, c) for c, px in report["px_per_camera"].items() if px is not None)
         found.append(
@@ -186,14 +173,6 @@ def _left_open(report: dict[str, Any]) -> list[str]:
     ]
 
 
-def _better_read(report: dict[str, Any]) -> bool:
-    """Whether another reading of the files fits clearly better than the assumption of moved cameras."""
-    moved_px = report["refined"]["px"]
-    return any(
-        row.get("median_px") is not None and CLEAR_MARGIN * row["median_px"] < moved_px for row in report["hypotheses"]
-    )
-
-
 def _unclear(report: dict[str, Any]) -> list[str]:
     apart = [*report["without_keypoints"], *report["inactive_cameras"]]
     found = [
@@ -202,20 +181,16 @@ def _unclear(report: dict[str, Any]) -> list[str]:
         for camera, px in report["px_per_camera"].items()
         if px is None and camera not in apart
     ]
-    # A mild lens in the other model bends people by less than the gate: those readings are compared by pixels, above.
-    rows = {row["hypothesis"]: row for row in report["hypotheses"] if "median_px" not in row}
-    best = rows.pop("as read")
-    as_read = best["score"]
+    as_read, *others = report["hypotheses"]
+    # A mild lens in the other model bends people by less than their own errors.
     close = [
-        f"{name} ({row['score']:.2f})"
-        for name, row in rows.items()
-        if row["score"] > 0
-        and CLEAR_MARGIN * row["score"] > as_read >= row["score"] / CLEAR_MARGIN
-        and CLEAR_MARGIN * row.get("met", best["met"]) >= best["met"]
+        f"{row['hypothesis']} ({row['score']:.2f})"
+        for row in others
+        if row["close"] and row["hypothesis"] not in LENS_READINGS
     ]
-    if close:
+    if close and not report["required"]:
         found.append(
-            f"people agree about as well ({as_read:.2f} as read) if {' or '.join(close)}; "
+            f"people agree about as well ({as_read['score']:.2f} as read) if {' or '.join(close)}; "
             "more frames of people would decide it"
         )
     return found

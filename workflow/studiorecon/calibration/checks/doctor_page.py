@@ -43,10 +43,10 @@ src="{{ sheet }}"></p>
 with its 95 % interval.</p>
 <h2>Possible conventions of the calibration</h2>
 <div class="scroll"><table>
-<tr><th>reading</th><th>agreement of people's rays, 0 to 1</th><th>px off</th><th>to use it</th></tr>
+<tr><th>reading</th><th>agreement of people's rays, 0 to 1</th><th>to use it</th></tr>
 {% for r in readings %}
 <tr><td>{% if r.best %}<b>{{ r.name }}</b>{% else %}{{ r.name }}{% endif %}</td><td>{{ r.score }}</td>
-<td>{{ r.px }}</td><td>{{ r.remedy }}</td></tr>
+<td>{{ r.remedy }}</td></tr>
 {% endfor %}
 </table></div>
 <h2>Coverage</h2>
@@ -111,16 +111,11 @@ def _camera(report: dict[str, Any], camera: str) -> list[tuple[str, bool]]:
 
 def _readings(report: dict[str, Any]) -> list[dict[str, Any]]:
     best = max(row["score"] for row in report["hypotheses"])
-    px = {
-        "as read": report["median_px"],
-        **{h["hypothesis"]: h["median_px"] for h in report["hypotheses"] if "median_px" in h},
-    }
     return [
         {
             "name": h["hypothesis"],
             "best": h["score"] == best > 0,
             "score": f"{h['score']:.3f}",
-            "px": _number(px.get(h["hypothesis"]), ".1f"),
             "remedy": h["remedy"],
         }
         for h in report["hypotheses"]

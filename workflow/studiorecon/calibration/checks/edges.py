@@ -6,7 +6,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import Any
 
-from studiorecon.calibration.checks.refined import RefinedCameras
+from studiorecon.rig.refined_cameras import RefinedCameras
 from studiorecon.rig.room_evidence import edge_contradiction, edge_rotations
 from studiorecon.rig.room_picture import RoomPicture
 from studiorecon.scene.camera import Camera

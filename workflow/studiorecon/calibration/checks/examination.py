@@ -13,7 +13,6 @@ from studiorecon.calibration.checks import coverage as health
 from studiorecon.calibration.checks import sanity
 from studiorecon.calibration.checks.advice import verdict
 from studiorecon.calibration.checks.edges import compare_edges
-from studiorecon.calibration.checks.refined import refine_on_people
 from studiorecon.calibration.people_evidence import FRAMES
 from studiorecon.errors import UserError
 from studiorecon.geometry.camera_path import scene_centre
@@ -21,10 +20,11 @@ from studiorecon.geometry.triangulation import Limits
 from studiorecon.rig.active_cameras import active_cameras, inactive_camera_notes, shared_frames
 from studiorecon.rig.agreement import AgreementLimits, CalibrationPrior, error_medians, metres_per_px
 from studiorecon.rig.correspondences import Observations, make_observations
-from studiorecon.rig.human_size import check_human_size, check_units
-from studiorecon.rig.hypotheses import best_swap, score_conventions, score_lens_model
+from studiorecon.rig.human_size import check_human_size
 from studiorecon.rig.outlier_camera import find_outlier_camera
+from studiorecon.rig.refined_cameras import refine_cameras
 from studiorecon.rig.room_picture import RoomPicture
+from studiorecon.rig.starts import Start, calibration_starts, compare, lens_start
 from studiorecon.scene.camera import Camera
 from studiorecon.scene.people import Detections
 
@@ -32,6 +32,8 @@ if TYPE_CHECKING:
     from jaxtyping import Float
 
 _NOBODY_REACH_M = 2.0
+# The same number as in ``cameras.refine``.
+_REFINED_FRAMES = 96
 Readings = Mapping[str, tuple[Sequence[Camera], Sequence[Detections]]]
 
 
@@ -54,27 +56,26 @@ def examine(
     """The report (written to doctor.json) and the triangulated points (N, 3) of the frame with most of them.
 
     ``detections`` of cameras without keypoints are empty. ``lens_readings``: by the names of
-    ``hypotheses.LENS_READINGS``. ``sync``: ``sentences`` about clocks, the ``refusal`` that the footage will raise, or
+    ``starts.LENS_READINGS``. ``sync``: ``sentences`` about clocks, the ``refusal`` that the footage will raise, or
     "", and ``lags_frames`` by which people lag in a camera. ``keypoints``: sentences from their comparison with the
     films, ``refused`` and ``notes``. ``rooms``: without people, None where it was not computed.
     """
     names = [c.name for c in cameras]
     chosen, people = shared_frames(detections, FRAMES), any(len(d.frame) for d in detections)
-    few = chosen[:: max(1, len(chosen) // 6)]
     fit = _fit_of_people(cameras, detections, chosen, settings)
     limit_px = settings.limit_px(cameras, fit.points_m)
     fps = max(float(a["fps"]) for a in about)
-    table = score_conventions(cameras, detections, few, settings.gate_m, settings.limits)
-    if people and (fit.median_px is None or fit.median_px > 0.5 * limit_px):
-        table += _swapped_cameras(cameras, detections, chosen, few, fit, settings)
-    table += _lens_models(lens_readings or {}, chosen, few, settings)
     refined, odd = None, None
     described = settings.gate_m, settings.limits
     if people:
-        watched, good_px = active_cameras(detections, fps), 0.5 * limit_px
-        refined = refine_on_people(
-            *(cameras, detections, watched, fit.median_px, good_px), *described, settings.pose_error, rooms
+        errors = fit.median_px, fit.per_camera_px
+        wanted = active_cameras(detections, fps), shared_frames(detections, _REFINED_FRAMES)
+        refined = refine_cameras(
+            cameras, detections, *wanted, errors, 0.5 * limit_px, (*described, settings.pose_error), rooms
         )
+    used = None if refined is None else Start("as used", "", refined.cameras, refined.detections)
+    starts = [lens_start(name, *both) for name, both in (lens_readings or {}).items()]
+    compared = compare([*calibration_starts(cameras, detections), *starts], chosen, settings.gate_m, used)
     if people and (fit.median_px is None or any(e is None or e > limit_px for e in fit.per_camera_px)):
         odd = find_outlier_camera(cameras, detections, chosen, *described)
         if odd is not None and (not odd.cause or odd.turned) and refined is not None and refined.has_moved:
@@ -84,11 +85,12 @@ def examine(
     report: dict[str, Any] = {
         "cameras": names,
         "notes": [],
-        "lengths": _wrong_lengths(cameras, detections, fit.seen, few, settings) if people else None,
+        "lengths": _wrong_lengths(cameras, fit.seen, settings.limits),
         "people": people,
         "without_keypoints": [a["camera"] for a in about if not a["keypoints"]],
         "inactive_cameras": inactive_camera_notes([d for d, a in zip(detections, about) if a["keypoints"]], fps),
-        "hypotheses": table,
+        "hypotheses": compared.rows(),
+        "required": [start.words for start in compared.chosen],
         "outlier_camera": None if odd is None else odd.sentence(),
         "median_px": fit.median_px,
         "median_mm": fit.median_mm(cameras),
@@ -134,53 +136,13 @@ def _fit_of_people(
     return _Fit(seen, median if len(points) else None, each, points)
 
 
-def _swapped_cameras(
-    cameras: Sequence[Camera],
-    detections: Sequence[Detections],
-    chosen: np.ndarray,
-    few: np.ndarray,
-    fit: _Fit,
-    settings: Settings,
-) -> list[dict[str, Any]]:
-    """The row of the best swap of two cameras, if there is one."""
-    swap = best_swap(cameras, detections, few, settings.gate_m)
-    if swap is None:
-        return []
-    if fit.median_px is None:
-        return [swap[0]]
-    # On a regular ring, or about one person, a swap is nearly a mirror image: rays of two cameras agree about as well.
-    # Pixels decide, where three cameras agree at all.
-    px = _median_px(swap[1], detections, chosen, settings)
-    return [] if px is None else [{**swap[0], "median_px": px}]
-
-
-def _lens_models(readings: Readings, chosen: np.ndarray, few: np.ndarray, settings: Settings) -> list[dict[str, Any]]:
-    """A row of every other reading of the lenses."""
-    return [
-        score_lens_model(name, cameras, detections, few, settings.gate_m)
-        | {"median_px": _median_px(cameras, detections, chosen, settings)}
-        for name, (cameras, detections) in readings.items()
-    ]
-
-
-def _wrong_lengths(
-    cameras: Sequence[Camera], detections: Sequence[Detections], seen: Observations, few: np.ndarray, settings: Settings
-) -> str | None:
+def _wrong_lengths(cameras: Sequence[Camera], seen: Observations, limits: Limits) -> str | None:
     """The refusal of ``cameras.refine`` about people's size, or None."""
     try:
-        if check_human_size(cameras, seen, settings.limits) is None:
-            check_units(cameras, detections, few, settings.gate_m, settings.limits)
+        check_human_size(cameras, seen, limits)
     except UserError as refusal:
         return str(refusal)
     return None
-
-
-def _median_px(
-    cameras: Sequence[Camera], detections: Sequence[Detections], frames: np.ndarray, settings: Settings
-) -> float | None:
-    seen, _ = make_observations(detections, cameras, frames, settings.gate_m)
-    px = error_medians(cameras, seen, settings.limits)[0] if len(seen.frame) else float("nan")
-    return px if np.isfinite(px) else None
 
 
 def _best_frame(cameras: Sequence[Camera], seen: Observations, limits: Limits) -> tuple[int | None, np.ndarray]:

@@ -1,39 +1,41 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Predicts how people and the room would refine the cameras, before anything expensive and without moving any."""
+"""All cameras of a calibration as people and the room require them of those that see people."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from studiorecon.geometry.camera_motion import PoseError
 from studiorecon.geometry.triangulation import Limits
-from studiorecon.rig.active_cameras import shared_frames
 from studiorecon.rig.agreement import error_medians
 from studiorecon.rig.calibrated import CalibratedEstimate, estimate_calibrated, pose_changes
+from studiorecon.rig.lens_knowledge import undistort_tracks
 from studiorecon.rig.room_picture import RoomPicture
 from studiorecon.scene.camera import Camera
 from studiorecon.scene.people import Detections
 
-# The same number as in ``cameras.refine``.
-_FRAMES = 96
+if TYPE_CHECKING:
+    from jaxtyping import Integer
 
 
 @dataclass(frozen=True)
 class RefinedCameras:
-    """Cameras as refinement would use them.
+    """Cameras as refinement uses them.
 
     Attributes:
-        cameras: all of them; ``px``: their median error.
+        cameras: all of them; ``detections``: without the distortion that the calibration left.
+        px: their median error.
         estimate: of those that see people.
         disagreement_deg, between_deg: degrees by which people alone would turn two cameras (0 where they are moved),
             and half of the 95 % interval of such rotations.
     """
 
     cameras: list[Camera]
+    detections: Sequence[Detections]
     px: float
     estimate: CalibratedEstimate
     disagreement_deg: float
@@ -62,42 +64,44 @@ class RefinedCameras:
         }
 
 
-def refine_on_people(
+def refine_cameras(
     cameras: Sequence[Camera],
     detections: Sequence[Detections],
     watched: Sequence[int],
-    median_px: float | None,
+    frames: Integer[np.ndarray, " F"],
+    px: tuple[float | None, Sequence[float | None]],
     allowed_px: float,
-    gate_m: float,
-    limits: Limits,
-    error: PoseError,
+    about: tuple[float, Limits, PoseError],
     rooms: Sequence[RoomPicture | None] = (),
 ) -> RefinedCameras | None:
-    """The refinement of ``cameras``; None where people show too little.
+    """The refinement of ``cameras``; None where people show too little, or too few agree with moved cameras.
 
-    ``watched`` are the indices of the cameras that see them. ``median_px``: their median error at the given poses, None
-    where no three cameras agree; ``allowed_px``: the limit once moved cameras are corrected. ``rooms``: pictures of the
-    room, where there are any.
+    ``watched`` are the indices of the cameras that see them. ``px``: their median error at the given poses, None where
+    no three cameras agree, and that of each camera; ``allowed_px``: the limit once moved cameras are corrected.
+    ``about``: the gate of tracks in metres, the limits of agreement and the calibration's error. ``rooms``: pictures of
+    the room, where there are any.
     """
     if len(watched) < 2:
         return None
-    given = [cameras[v] for v in watched]
+    given, (gate_m, limits, error) = [cameras[v] for v in watched], about
+    # The others still agree if one of them was knocked.
+    alone = any(e is None and len(d.frame) for e, d in zip(px[1], detections, strict=True))
+    lost = alone or px[0] is None or not px[0] < allowed_px
+    seen = [detections[v] for v in watched]
     found = estimate_calibrated(
-        given,
-        [detections[v] for v in watched],
-        shared_frames(detections, _FRAMES),
-        *(gate_m, limits, error, median_px is None or not median_px < allowed_px),
-        [rooms[v] for v in watched] if len(rooms) else (),
+        given, seen, frames, gate_m, limits, error, lost, [rooms[v] for v in watched] if len(rooms) else ()
     )
     if found is None:
         return None
-    px = error_medians(found.cameras, found.seen, limits)[0]
-    if found.freedom == "moved" and not px < allowed_px:
+    after_px = error_medians(found.cameras, found.seen, limits)[0]
+    if found.freedom == "moved" and not after_px < allowed_px:
         return None
-    everywhere = list(cameras)
-    for v, camera in zip(watched, found.cameras, strict=True):
-        everywhere[v] = camera
+    everywhere, radial = list(cameras), np.zeros(len(cameras))
+    for v, camera, k1 in zip(watched, found.cameras, found.radial, strict=True):
+        everywhere[v], radial[v] = camera, k1
     disagreement_deg, between_deg = found.open_deg(given)
     if found.freedom == "moved":
         disagreement_deg, between_deg = 0.0, found.intervals.between_deg
-    return RefinedCameras(everywhere, px if np.isfinite(px) else 0.0, found, disagreement_deg, between_deg)
+    straight = undistort_tracks(detections, everywhere, radial)
+    after_px = after_px if np.isfinite(after_px) else 0.0
+    return RefinedCameras(everywhere, straight, after_px, found, disagreement_deg, between_deg)
