@@ -1,5 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Accuracy of association in a gym with many things that look like people: ``python -m benchmarks.gym [--draws 4]``.
+"""Accuracy of association in a gym with many things that look like people: ``python -m benchmarks.gym [--draws 4]
+[--terms]``.
 
 Five cameras, 12 s at 15 pictures a second, seven people: three walk about, one arrives after 5 s, one leaves after 4 s
 and returns 4 s later, one sits on a chair, one sits behind a desk that hides hips and legs from two cameras. Besides
@@ -7,7 +8,7 @@ them a poster, a television, a mirror, and twelve chairs, which a detector takes
 cameras each, for a second or so. No picture is drawn: keypoints have the errors of a detector (those of each camera
 last, 1.2 % of a person's height; 3 % outliers; 5 % drop-outs; people behind others are missed). Pictures, of
 thick limbs in everybody's colours, only show where something moves and who wears what; there are no masks. Prints a
-table and writes benchmarks/results/gym.json.
+table and writes benchmarks/results/gym.json. ``--terms``: what each term of the likelihood is worth.
 """
 
 from __future__ import annotations
@@ -32,7 +33,10 @@ from studiorecon.geometry import rotations
 from studiorecon.keypoints.layouts import JOINT_NAMES, LAYOUTS
 from studiorecon.keypoints.tracking import drop_duplicates, track_ids
 from studiorecon.people import associate
-from studiorecon.people.association.acceptance import identities_from_keypoints
+from studiorecon.people.association.acceptance import group_terms, identities_from_keypoints, pair_terms
+from studiorecon.people.association.gaps import group_tracks
+from studiorecon.people.association.grouping import TrackComparison
+from studiorecon.people.association.terms import PRIOR_NATS
 from studiorecon.report.metrics.identity_scores import identity_scores
 from studiorecon.scene.camera import Camera
 from studiorecon.scene.files import write_json
@@ -313,13 +317,42 @@ def measured(seed: int, videos: list[Path]) -> dict[str, Any]:
     }
 
 
+def weighed(seed: int, videos: list[Path]) -> list[tuple[bool, dict[str, float]]]:
+    """Whether each group is a person, and its nats by term; those of pairs against people are terms too."""
+    options = loaded(associate.Settings)
+    found, owners, _ = drawn(seed, loaded(detections.Settings))
+    compared = TrackComparison(found, cameras(), FRAMES, FPS, options.association, options.triangulation)
+    groups, _ = group_tracks(compared)
+    terms = [{term.name: term.nats for term in own} for own in group_terms(groups, compared, videos, [])]
+    whose = [[np.median(owners[v][found[v].track == t]) for v, t in group.members] for group in groups]
+    person = [bool(np.median(own) >= 0) for own in whose]
+    for (g, h), term in pair_terms(groups, cameras(), FPS).items():
+        if person[h] and not person[g]:
+            terms[g][term.name] = min(term.nats, terms[g].get(term.name, 0.0))
+    return list(zip(person, terms))
+
+
+def print_worth(groups: list[tuple[bool, dict[str, float]]]) -> None:
+    """Print the least nats of a person and the most of nobody, with all terms and without each."""
+    for left_out in ["", *dict.fromkeys(name for _, own in groups for name in own)]:
+        nats = [(person, PRIOR_NATS + sum(n for t, n in own.items() if t != left_out)) for person, own in groups]
+        least, most = min(n for person, n in nats if person), max(n for person, n in nats if not person)
+        print(f"without {left_out or 'nothing':12s} people {least:+5.1f} nats or more, nobody {most:+5.1f} or less")
+
+
 def main() -> None:
-    """Print one line per draw."""
+    """Print one line per draw, or per term."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--draws", type=int, default=4)
+    parser.add_argument("--terms", action="store_true")
+    given = parser.parse_args()
     rows, folder = [], Path(tempfile.mkdtemp())
     videos = films([*people(), *images()], folder)
-    for seed in range(parser.parse_args().draws):
+    if given.terms:
+        print_worth([group for seed in range(given.draws) for group in weighed(seed, videos)])
+        shutil.rmtree(folder)
+        return
+    for seed in range(given.draws):
         rows.append(row := measured(seed, videos))
         print(
             f"draw {seed}: {row['placed']} of 7 placed under {row['people']} names, {row['invented']} invented; IDF1 "

@@ -74,8 +74,8 @@ class OfTheUpright:
         seen = self.look(picture, Region(np.zeros(2), 1.0, 0.0))
         return [seen] if seen.presence and not known else []
 
-    def surest(self, picture: np.ndarray) -> float:
-        return self.look(picture, Region(np.zeros(2), 1.0, 0.0)).presence
+    def surest(self, picture: np.ndarray) -> list[float]:
+        return [self.look(np.rot90(picture, turns), Region(np.zeros(2), 1.0, 0.0)).presence for turns in range(4)]
 
 
 @pytest.mark.parametrize("turns", range(4))

@@ -22,6 +22,7 @@ from tests.made.cameras import ring
 
 FPS, FRAMES = 30.0, 60
 NAMES = LAYOUTS["body_25"].keypoints
+LEGS = [k for k, n in enumerate(NAMES) if any(j in n for j in ("hip", "knee", "ankle", "toe", "heel"))]
 SIDES = [NAMES.index(n.replace(*("left", "right") if "left" in n else ("right", "left"))) for n in NAMES]
 
 
@@ -130,11 +131,17 @@ def test_seven_people_one_who_stands_one_hidden_from_a_camera_one_behind_a_table
     ]
     scene += [np.tile(figure + np.array([x, y, 0]), (FRAMES, 1, 1)) for x, y in ((-1.2, 1.2), (1.3, 1.2))]
     sitting = np.tile(figure + np.array([0.0, 0.6, -0.35]), (FRAMES, 1, 1))
-    sitting[:, [k for k, n in enumerate(NAMES) if any(j in n for j in ("hip", "knee", "ankle", "toe", "heel"))]] = (
-        np.nan
-    )
+    sitting[:, LEGS] = np.nan
     late = walking(figure, (0.2, 1.8), (0.4, 0))
     late[: FRAMES // 3] = late[-FRAMES // 4 :] = np.nan
     people, reasons = who([*scene, sitting, late], frozenset({(0, 3), (1, 0), (2, 5)}))
     assert sorted(people) == [f"p{n}" for n in range(7)]
+    assert reasons == []
+
+
+def test_somebody_still_at_a_desk_whom_two_of_four_cameras_see_is_a_person(figure, who):
+    sitting = np.tile(figure + np.array([0.0, 0.6, -0.35]), (FRAMES, 1, 1))
+    sitting[:, LEGS] = np.nan
+    people, reasons = who([walking(figure, (0, -1), (0.3, 0.2)), sitting], frozenset({(2, 1), (3, 1)}))
+    assert sorted(people) == ["p0", "p1"]
     assert reasons == []

@@ -47,15 +47,14 @@ def quarter_turns(
     upright people. ``apart``: differences of the pictures from the film's usual one, smaller or not, and the ``noise``
     of these differences; where these are NaN, motion says nothing.
     """
-    turned = [[rotate_picture(picture, turns) for picture in pictures] for turns in range(4)]
-    surest = [sum(detector.surest(picture) for picture in shown) for shown in turned]
+    surest = np.sum([detector.surest(picture) for picture in pictures], axis=0)
     likely = [turns for turns in range(4) if surest[turns] >= surest[0]]
     if likely == [0]:
         return 0, []
     nats = {turns: _TURNED_NATS if turns else 0.0 for turns in likely}
     seen: dict[int, list[list[Landmarks]]] = {turns: [] for turns in likely}
     for turns in likely:
-        for picture, differs in zip(turned[turns], apart):
+        for picture, differs in zip((rotate_picture(picture, turns) for picture in pictures), apart):
             people = detector.detect_new_people(picture)
             seen[turns].append(people)
             moved = np.rot90(differs, turns) / max(noise, _MIN_NOISE_LEVELS)

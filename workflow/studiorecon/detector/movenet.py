@@ -57,19 +57,24 @@ class MoveNet:
 
     def find(self, picture: Integer[np.ndarray, "H W 3"], longer_px: int, least: float) -> list[Sighting]:
         """The people above the score ``least`` in a picture (RGB) that is shrunk to ``longer_px``."""
-        height, width = picture.shape[:2]
-        scale = min(1.0, longer_px / max(height, width))
-        size = max(1, round(width * scale)), max(1, round(height * scale))
-        small = cv2.resize(picture, size, interpolation=cv2.INTER_AREA)
+        small = shrink_to(picture, longer_px)
         padding = [(0, -side % _STEP_PX) for side in small.shape[:2]]
         found = decode_people(self.maps(np.pad(small, [*padding, (0, 0)])), least)
-        from_shown = np.array([width / size[0], height / size[1], 1.0])
+        from_shown = np.array([picture.shape[1] / small.shape[1], picture.shape[0] / small.shape[0], 1.0])
         return [Sighting(one.score, one.keypoints * from_shown) for one in found]
 
     def maps(self, shown: Integer[np.ndarray, "H W 3"]) -> dict[str, Float[np.ndarray, "h w C"]]:
         """The maps of a picture whose sides are multiples of 32, by name."""
         answer = self._session.run(None, {self._session.get_inputs()[0].name: shown[None].astype(np.float32)})
         return {out.name: map_[0].astype(np.float64) for out, map_ in zip(self._session.get_outputs(), answer)}
+
+
+def shrink_to(picture: Integer[np.ndarray, "H W 3"], longer_px: int) -> Integer[np.ndarray, "h w 3"]:
+    """The picture with a longer side of at most ``longer_px``."""
+    height, width = picture.shape[:2]
+    scale = min(1.0, longer_px / max(height, width))
+    size = max(1, round(width * scale)), max(1, round(height * scale))
+    return cv2.resize(picture, size, interpolation=cv2.INTER_AREA)
 
 
 def decode_people(maps: dict[str, Num[np.ndarray, "h w C"]], least: float) -> list[Sighting]:

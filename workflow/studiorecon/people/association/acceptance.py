@@ -73,7 +73,7 @@ def identities_from_keypoints(
     about: list[list[Term]] = [[] for _ in groups]
     accepted = np.ones(len(groups), dtype=bool)
     if association.method != "star":
-        about = _group_terms(groups, compared, videos, witnesses)
+        about = group_terms(groups, compared, videos, witnesses)
         pairs = pair_terms(groups, cameras, fps)
         accepted = choose_groups([total_nats(own) for own in about], {pair: term.nats for pair, term in pairs.items()})
         for (g, h), term in pairs.items():
@@ -96,35 +96,32 @@ def identities_from_keypoints(
     return table, rows, list_rejected(rejected, cameras, frames, fps)
 
 
-def _group_terms(
+def group_terms(
     groups: Sequence[Group],
     compared: TrackComparison,
     videos: Sequence[Path],
     witnesses: Sequence[CameraEvidence | None],
 ) -> list[list[Term]]:
-    """The terms of each group."""
+    """The terms of each group; pictures are read for those that they can still decide."""
     rig_m, graph, fps = rig_sigma_m(compared), compared.pairs.graph, compared.fps
     about = []
     for group in groups:
-        between, bones = np.ix_(*2 * [compared.rows(group)]), group.bones
+        between = np.ix_(*2 * [compared.rows(group)])
         extremities_m = compared.group(group.members, terms.EXTREMITIES).points_m
         about.append(
             [
                 terms.duration(group, fps),
                 terms.views(group, compared.cameras),
                 terms.rays(group, graph.distance_m[between], compared.limits.gate_m, rig_m),
-                terms.size(bones),
-                terms.proportions(bones),
-                terms.steadiness(bones),
+                terms.size(group.bones),
+                terms.proportions(group.bones),
                 terms.posture(compared.pairs.pose_rad[between]),
-                terms.depth(group.points_m, extremities_m, bones, fps),
+                terms.depth(group.points_m, extremities_m, group.bones, fps),
             ]
         )
     open_ = [k for k, own in enumerate(about) if videos and total_nats(own) > -_PICTURES_NATS]
-    shown = [groups[k] for k in open_]
-    if shown:
-        seen = picture_terms(shown, compared.detections, compared.cameras, videos, fps, witnesses)
-        for k, own in zip(open_, seen):
+    if open_:
+        for k, own in zip(open_, picture_terms([groups[k] for k in open_], compared, videos, witnesses)):
             about[k] += own
     return about
 

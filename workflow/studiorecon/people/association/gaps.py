@@ -125,8 +125,7 @@ def _way(first: Group, second: Group, left: int, back: int, fps: float, area_m2:
 
 def _size(first: Bones, second: Bones) -> Term:
     """Term of the factor between their bone lengths."""
-    first_m, second_m = ({part: np.median(own, axis=0)[0] for part, own in bones.items()} for bones in (first, second))
-    factors = [second_m[part] / length_m for part, length_m in first_m.items() if part in second_m]
+    factors = [np.median(second[part]) / np.median(first[part]) for part in first.keys() & second.keys()]
     factor = float(np.median(factors)) if factors else float("nan")
     said = f"sizes {100 * abs(factor - 1):.0f} % apart" if factors else "sizes unknown"
     return Term("size", _SIZE.nats(factor), said)

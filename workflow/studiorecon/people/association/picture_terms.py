@@ -13,14 +13,11 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from studiorecon.footage.video import read_frames
-from studiorecon.people.association.grouping import Group
+from studiorecon.people.association.grouping import Group, TrackComparison
 from studiorecon.people.association.terms import Ratio, Term
-from studiorecon.people.pictures.change import LIMB_ENDS, PICTURES, motion_support, sample_frames, steps_m
+from studiorecon.people.pictures.change import LIMB_ENDS, PICTURES, motion_support, pictures_at, sample_frames, steps_m
 from studiorecon.people.pictures.coverage import CameraEvidence, mask_coverage, plate_difference_share
 from studiorecon.progress import progress
-from studiorecon.scene.camera import Camera
-from studiorecon.scene.people import Detections
 
 if TYPE_CHECKING:
     from jaxtyping import Float, Num
@@ -50,21 +47,19 @@ _MIN_COVERED_NATS, _MAX_COVERED_NATS = -3.0, 1.0
 
 def picture_terms(
     groups: Sequence[Group],
-    detections: Sequence[Detections],
-    cameras: Sequence[Camera],
+    compared: TrackComparison,
     videos: Sequence[Path],
-    fps: float,
     witnesses: Sequence[CameraEvidence | None],
 ) -> list[list[Term]]:
     """Terms of every group from pictures: motion, the detector's masks and confidence, clean plates."""
-    moved, shares = _motion(groups, cameras, videos, fps)
+    moved, shares = _motion(groups, compared, videos)
     out = []
     for group, nats, share in zip(groups, moved.tolist(), shares):
-        mask, presence, plate = _coverage(group, detections, cameras, videos, witnesses)
+        mask, presence, plate = _coverage(group, compared, videos, witnesses)
         if nats <= 0:
             confirmed = max(_COVERED.nats(mask), _COVERED.nats(plate), 0.0)
             nats = min(float(np.logaddexp(nats, _STILL_NATS + confirmed)), 0.0)
-        seen = ", ".join(f"{s:.0%} ({c.name})" for s, c in zip(share, cameras) if np.isfinite(s))
+        seen = ", ".join(f"{s:.0%} ({c.name})" for s, c in zip(share, compared.cameras) if np.isfinite(s))
         said = f"the pictures show no person there: of the pixels that its joints moved over only {seen} changed"
         covered = [np.clip(_COVERED.nats(s), _MIN_COVERED_NATS, _MAX_COVERED_NATS) for s in (mask, plate)]
         odds = np.log(np.clip(presence, 1e-4, 1 - 1e-4) / (1 - np.clip(presence, 1e-4, 1 - 1e-4)))
@@ -80,20 +75,19 @@ def picture_terms(
 
 
 def _motion(
-    groups: Sequence[Group], cameras: Sequence[Camera], videos: Sequence[Path], fps: float
+    groups: Sequence[Group], compared: TrackComparison, videos: Sequence[Path]
 ) -> tuple[Float[np.ndarray, " G"], Float[np.ndarray, "G V"]]:
     """Nats of whether pictures change where joints move, and only there, and shares that changed.
 
     A camera in which nobody's motion is confirmed contradicts nobody: its film may be dark, or out of step.
     """
+    cameras = compared.cameras
     picked = [sample_frames(group.frames, PICTURES) for group in groups]
     points_m = np.stack([group.points_m for group in groups])
-    least = [steps_m(group.points_m, fps) for group in groups]
-    wanted = set(np.concatenate(picked).tolist())
+    least = [steps_m(group.points_m, compared.fps) for group in groups]
     nats, shares = np.zeros((len(groups), len(cameras))), np.full((len(groups), len(cameras)), np.nan)
     for v, camera in enumerate(progress(cameras, "cameras")):
-        film = enumerate(read_frames(videos[v], 0, max(wanted, default=-1) + 1))
-        pictures = {t: picture for t, picture in film if t in wanted}
+        pictures = pictures_at(videos[v], np.concatenate(picked))
         for g, frames in enumerate(picked):
             counts = motion_support([pictures[t] for t in frames.tolist()], points_m[:, frames], g, least[g], camera)
             nats[g, v] = view_nats(counts)
@@ -124,20 +118,13 @@ def _ratio(changed: float, places: float) -> float:
 
 
 def _coverage(
-    group: Group,
-    detections: Sequence[Detections],
-    cameras: Sequence[Camera],
-    videos: Sequence[Path],
-    witnesses: Sequence[CameraEvidence | None],
+    group: Group, compared: TrackComparison, videos: Sequence[Path], witnesses: Sequence[CameraEvidence | None]
 ) -> Float[np.ndarray, " 3"]:
     """Share covered by the detector's masks, its confidence, and share that differs from a plate: each camera's best,
     NaN unknown."""
     found = [
-        [
-            *mask_coverage(group, v, detections[v], cameras[v], one),
-            plate_difference_share(group, cameras[v], videos[v], one),
-        ]
-        for v, one in enumerate(witnesses)
+        [*mask_coverage(group, v, given, camera, one), plate_difference_share(group, camera, video, one)]
+        for v, (given, camera, video, one) in enumerate(zip(compared.detections, compared.cameras, videos, witnesses))
         if one is not None
     ]
     return np.fmax.reduce(np.array([[np.nan] * 3, *found]))

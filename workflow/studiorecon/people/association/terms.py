@@ -67,19 +67,20 @@ class Ratio:
         return float(np.clip(ratio, self.min_nats, self.max_nats))
 
 
-Bones = Mapping[str, list[tuple[float, float]]]
-"""Part of the body → (median length in metres, its relative median deviation over time) of each bone that is known."""
+Bones = Mapping[str, list[float]]
+"""Part of the body → median length, m, of each of its bones that is known."""
 
 # Keypoints alternate: left, right.
 _OTHER_SIDE = [k ^ 1 for k in range(len(STABLE_KEYPOINTS))]
 EXTREMITIES = ("nose", "left_ear", "right_ear", "left_heel", "right_heel", "left_big_toe", "right_big_toe")
 """Points off the plane of the joints of somebody who stands with hanging arms."""
-# One candidate of twenty is a person before anything is measured.
-PRIOR_NATS = -3.0
+# One candidate of ten is a person before anything is measured.
+PRIOR_NATS = -2.2
 # Time in which two cameras agree, s: people stay for seconds, agreement by chance ends after a moment.
 _DURATION = Ratio((5.0, 1.2), (0.1, 0.8), -8, 3)
-# A camera that looks at the place of a person detects one in 80 % of the frames, and one where nobody is in 20 %.
-_HIT_NATS = np.log(0.8 / 0.2)
+# A camera that looks at the place of a person detects one in 80 % of the frames, and one where nobody is in 20 %; from
+# one camera of four furniture or a wall hides a person.
+_HIT_NATS, _HIDDEN = np.log(0.8 / 0.2), 0.25
 # Least deviation of the distance of two rays to one joint, m: landmarks mean points some centimetres apart from
 # different sides.
 _RAY_SIGMA_M = 0.03
@@ -100,8 +101,6 @@ _PARTS = {
 # Such a share over its median, of people and of anything else. Rarely is one of somebody's bones mismeasured; and a
 # pair of limbs and the trunk they are measured against are wrong together: fit says less than misfit.
 _SHARE = Ratio((1.0, 0.18), (1.0, 0.6), -5, 0.4)
-# Median relative change of the lengths of bones (filmed people: 0.01 to 0.06; dogs and false landmarks: 0.08 to 0.3).
-_STEADINESS = Ratio((0.035, 0.7), (0.16, 0.5), -4, 1)
 # Angle between postures in two cameras, radians, of one person (0.2 to 0.6; with hidden legs 0.9) and of two skeletons.
 _POSTURE = Ratio((0.5, 0.45), (0.9, 0.35), -4, 1)
 # Deviation of joints and extremities from one plane, in trunks, of a person (0.17 to 0.54, arms hanging 0.14), and on
@@ -156,8 +155,9 @@ def views(group: Group, cameras: Sequence[Camera]) -> Term:
             shares.append(float(seen[known[inside]].mean()))
     often = sum(share >= 0.5 for share in shares)
     said = f"{often} of the {len(shares)} cameras in whose pictures it would be see it most of the time"
-    nats = _HIT_NATS * (sum(2 * share - 1 for share in shares) - 2)
-    return Term("views", float(np.clip(nats, -8, 3)), said)
+    # Less two cameras that see it always, without which there is no group.
+    nats = np.log((1 - _HIDDEN) * np.exp(_HIT_NATS * (2 * np.array([*shares, 1.0, 1.0]) - 1)) + _HIDDEN)
+    return Term("views", float(np.clip(nats[:-2].sum() - nats[-2:].sum(), -8, 3)), said)
 
 
 def rays(group: Group, distance_m: Float[np.ndarray, "M M"], gate_m: float, rig_m: float) -> Term:
@@ -186,23 +186,14 @@ def size(bones: Bones) -> Term:
 def proportions(bones: Bones) -> Term:
     """Term of the lengths of its bones over its trunk, of a pair the less likely one: an animal has narrow shoulders
     and hips, and forelegs for arms."""
-    worst = {
-        part: min((_SHARE.nats(length_m / trunk_length_m(bones) / usual), length_m) for length_m, _ in bones[part])
+    shares = {
+        part: min((_SHARE.nats(length_m / trunk_length_m(bones) / usual), length_m) for length_m in bones[part])
         for part, (usual, _) in _PARTS.items()
-        if part in bones and "trunk" in bones and part != "trunk"
+        if part in bones and part != "trunk"
     }
-    off = [
-        f"{p} {length_m / trunk_length_m(bones):.2f} of its trunk" for p, (own, length_m) in worst.items() if own < 0
-    ]
-    nats = sum(own for own, _ in worst.values())
+    off = [f"{part} {m / trunk_length_m(bones):.2f} of its trunk" for part, (own, m) in shares.items() if own < 0]
+    nats = sum(own for own, _ in shares.values())
     return Term("proportions", nats, f"its proportions are not a person's: {', '.join(off)}")
-
-
-def steadiness(bones: Bones) -> Term:
-    """Term of the changes of its bones' lengths."""
-    own = [wavers for values in bones.values() for _, wavers in values]
-    wavers = float(np.median(own)) if own else float("nan")
-    return Term("steadiness", _STEADINESS.nats(wavers), f"its bones change their length by {wavers:.0%}")
 
 
 def posture(pose_rad: Float[np.ndarray, "M M"]) -> Term:
@@ -273,17 +264,14 @@ def measure_bones(points_m: Float[np.ndarray, "T 12 3"]) -> Bones:
     joints |= {f"middle_{j}": (joints[f"left_{j}"] + joints[f"right_{j}"]) / 2 for j in ("shoulder", "hip")}
     lengths = {p: [np.linalg.norm(joints[a] - joints[b], axis=-1) for a, b in ends] for p, (_, ends) in _PARTS.items()}
     least = max(_MIN_FRAMES, 0.5 * np.isfinite(lengths["trunk"][0]).sum())
-    found: dict[str, list[tuple[float, float]]] = {}
-    for part, length_m in ((part, one[np.isfinite(one)]) for part, own in lengths.items() for one in own):
-        if len(length_m) >= least:
-            median = float(np.median(length_m))
-            found.setdefault(part, []).append((median, float(np.median(np.abs(length_m - median))) / median))
-    return found
+    known = {part: [one[np.isfinite(one)] for one in own] for part, own in lengths.items()}
+    medians = {part: [float(np.median(one)) for one in own if len(one) >= least] for part, own in known.items()}
+    return {part: own for part, own in medians.items() if own}
 
 
 def trunk_length_m(bones: Bones) -> float:
     """Median length of the trunk, NaN where it is unknown."""
-    return bones["trunk"][0][0] if "trunk" in bones else float("nan")
+    return bones.get("trunk", [float("nan")])[0]
 
 
 def flatness_m(points_m: Float[np.ndarray, "T K 3"], fps: float) -> float:

@@ -9,14 +9,16 @@ Keypoints that wander over a still person are no evidence: their cameras do not 
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from itertools import combinations
+from pathlib import Path
 from typing import TYPE_CHECKING
 
 import cv2
 import numpy as np
 
 from studiorecon.arrays import spread_indices
+from studiorecon.footage.video import read_frames
 from studiorecon.images.channels import channel_max
 from studiorecon.keypoints.correspondence import STABLE_KEYPOINTS
 from studiorecon.scene.camera import Camera
@@ -78,6 +80,12 @@ def sample_frames(frames: Integer[np.ndarray, " N"], wanted: int) -> Integer[np.
     """At most ``wanted`` of the distinct ``frames``, evenly spread."""
     distinct = np.unique(frames)
     return distinct[spread_indices(len(distinct), wanted)] if len(distinct) else distinct
+
+
+def pictures_at(video: Path, frames: Iterable[int]) -> dict[int, Integer[np.ndarray, "H W 3"]]:
+    """The pictures of ``frames``, by frame."""
+    wanted = {int(t) for t in frames}
+    return {t: one for t, one in enumerate(read_frames(video, 0, max(wanted, default=-1) + 1)) if t in wanted}
 
 
 def steps_m(points_m: Float[np.ndarray, "T K 3"], fps: float) -> Float[np.ndarray, " K"]:

@@ -10,11 +10,10 @@ from typing import TYPE_CHECKING
 import cv2
 import numpy as np
 
-from studiorecon.footage.video import read_frames
 from studiorecon.keypoints.correspondence import STABLE_KEYPOINTS
 from studiorecon.people.association.gaps import Clothes
 from studiorecon.people.association.grouping import Group
-from studiorecon.people.pictures.change import PICTURES, sample_frames
+from studiorecon.people.pictures.change import PICTURES, pictures_at, sample_frames
 from studiorecon.scene.camera import Camera
 
 if TYPE_CHECKING:
@@ -45,11 +44,8 @@ def compare_clothes(cameras: Sequence[Camera], videos: Sequence[Path]) -> Clothe
 
 def _colours(group: Group, view: int, camera: Camera, video: Path) -> Float[np.ndarray, "P 3"]:
     """Median CIELAB of each part in one camera; NaN where it is not seen."""
-    chosen = sample_frames(np.flatnonzero(group.seen[view]), PICTURES).tolist()
     taken: list[list[np.ndarray]] = [[] for _ in _PARTS]
-    for t, picture in enumerate(read_frames(video, 0, max(chosen, default=-1) + 1)):
-        if t not in chosen:
-            continue
+    for t, picture in pictures_at(video, sample_frames(np.flatnonzero(group.seen[view]), PICTURES)).items():
         pixels, depth = camera.project(group.points_m[t])
         pixels[depth <= 0] = np.nan
         for k, ends in enumerate(_PARTS):

@@ -12,11 +12,16 @@ import numpy as np
 
 from studiorecon.arrays import spread_indices
 from studiorecon.footage.stills import read_plate
-from studiorecon.footage.video import read_frames
 from studiorecon.geometry.lens import video_from_working
 from studiorecon.images.channels import channel_max
 from studiorecon.people.association.grouping import Group
-from studiorecon.people.pictures.change import PICTURES, count_changed_places, normalise_picture, sample_frames
+from studiorecon.people.pictures.change import (
+    PICTURES,
+    count_changed_places,
+    normalise_picture,
+    pictures_at,
+    sample_frames,
+)
 from studiorecon.scene.camera import Camera, Lens
 from studiorecon.scene.capture import Footage
 from studiorecon.scene.people import Detections
@@ -81,10 +86,8 @@ def plate_difference_share(group: Group, camera: Camera, video: Path, witness: C
         return float("nan")
     plate, measured = read_plate(witness.plate)
     empty = normalise_picture(np.rint(255 * plate).astype(np.uint8))
-    chosen = set(sample_frames(group.frames, PICTURES).tolist())
     counts = np.zeros(2, dtype=int)
-    for t, picture in enumerate(read_frames(video, 0, max(chosen, default=-1) + 1)):
-        if t in chosen:
-            apart = np.where(measured, channel_max(np.abs(normalise_picture(picture) - empty)), np.nan)
-            counts += count_changed_places(apart, group.points_m[t], camera).sum(0)
+    for t, picture in pictures_at(video, sample_frames(group.frames, PICTURES)).items():
+        apart = np.where(measured, channel_max(np.abs(normalise_picture(picture) - empty)), np.nan)
+        counts += count_changed_places(apart, group.points_m[t], camera).sum(0)
     return float(counts[0] / counts[1]) if counts[1] >= _MIN_PLACES else float("nan")
