@@ -166,16 +166,12 @@ def choose_groups(nats: Sequence[float], pairs: dict[tuple[int, int], float]) ->
 def _verdicts(
     kept: Sequence[Group], rejected: Sequence[tuple[Group, Sequence[Term]]], compared: TrackComparison
 ) -> dict[tuple[str, int], TrackVerdict]:
-    """(camera, track) → verdict of every track; who is rejected or undecided is logged."""
-    table, nan, cameras = {}, float("nan"), compared.cameras
-    for v, t in compared.pairs.nodes:
-        alone = "no other camera agrees with it, or it fits two people equally well"
-        table[cameras[v].name, t] = TrackVerdict("", nan, alone)
+    """(camera, track) → verdict of every track; the undecided ones are logged."""
+    cameras, alone = compared.cameras, "no other camera agrees with it, or it fits two people equally well"
+    reasons = dict.fromkeys(compared.pairs.nodes, alone)
     for group, own in rejected:
-        reason = terms.strongest_objections(own)
-        tracks = [(cameras[v].name, t) for v, t in group.members]
-        say(f"not a person of this scene: tracks {', '.join(f'{name}/{t}' for name, t in tracks)}: {reason}")
-        table |= dict.fromkeys(tracks, TrackVerdict("", nan, reason))
+        reasons |= dict.fromkeys(group.members, terms.strongest_objections(own))
+    table = {(cameras[v].name, t): TrackVerdict("", float("nan"), reason) for (v, t), reason in reasons.items()}
     margins = compared.pairs.margins([group.members for group in kept])
     for number, group in enumerate(kept):
         for v, t in group.members:
@@ -189,15 +185,13 @@ def _verdicts(
 
 def _row(number: int, group: Group, compared: TrackComparison) -> tuple[str, int, str, float, str]:
     """The line of people.tsv."""
-    names = group.seen_by(compared.cameras)
-    confidence = float(np.nanmean(group.agreement))
-    trunk_m = terms.trunk_length_m(group.bones)
+    names, trunk_m = group.seen_by(compared.cameras), terms.trunk_length_m(group.bones)
     torso = f", torso {trunk_m:.2f} m" if np.isfinite(trunk_m) else ""
     say(
         f"p{number}: seen in {len(group.frames)} of {compared.frames} frames by {', '.join(names)}; "
-        f"{confidence:.0%} of its keypoints agree{torso}"
+        f"{group.confidence:.0%} of its keypoints agree{torso}"
     )
-    return f"p{number}", len(group.frames), ",".join(names), confidence, "keypoints"
+    return f"p{number}", len(group.frames), ",".join(names), group.confidence, "keypoints"
 
 
 def _report_returns(

@@ -48,6 +48,11 @@ class Group:
         """Frames in which at least two cameras agree."""
         return np.flatnonzero(self.seen.sum(0) >= 2)
 
+    @property
+    def confidence(self) -> float:
+        """Mean share of keypoints that agree."""
+        return float(np.nanmean(self.agreement))
+
     def seen_by(self, cameras: Sequence[Camera]) -> list[str]:
         """Names of the cameras that see the group."""
         return [camera.name for camera, seen in zip(cameras, self.seen) if seen.any()]

@@ -8,8 +8,6 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
-import numpy as np
-
 from studiorecon.people.association.grouping import Group
 from studiorecon.people.association.terms import Term, strongest_objections, total_nats
 from studiorecon.progress import say, warn
@@ -63,24 +61,25 @@ def list_rejected(
 ) -> list[RejectedPerson]:
     """The rejected groups, with reasons, the likeliest first: those on which two cameras agreed for a second, or half
     of a shorter clip, or near 0 nats, without duplicates of accepted people."""
-    listed = sorted(
-        (-total_nats(own), group.members, group, strongest_objections(own))
+    lasting = min(_LONG_S * fps, frames / 2)
+    listed = [
+        (total_nats(own), group, own)
         for group, own in rejected
         if not any(term.name == "overlap" for term in own)
-        and (len(group.frames) >= min(_LONG_S * fps, frames / 2) or total_nats(own) > -_REACH_NATS)
-    )
+        and (len(group.frames) >= lasting or total_nats(own) > -_REACH_NATS)
+    ]
     return [
         RejectedPerson(
             f"r{n}",
             len(group.frames),
             len(group.frames) / fps,
             tuple(group.seen_by(cameras)),
-            tuple((cameras[v].name, t) for v, t in members),
-            float(np.nanmean(group.agreement)),
-            -against,
-            reason,
+            tuple((cameras[v].name, t) for v, t in group.members),
+            group.confidence,
+            nats,
+            strongest_objections(own),
         )
-        for n, (against, members, group, reason) in enumerate(listed)
+        for n, (nats, group, own) in enumerate(sorted(listed, key=lambda one: (-one[0], one[1].members)))
     ]
 
 

@@ -276,13 +276,11 @@ def trunk_length_m(bones: Bones) -> float:
 
 def flatness_m(points_m: Float[np.ndarray, "T K 3"], fps: float) -> float:
     """RMS distance of joints of the whole clip from their best-fitting plane; NaN where too few are known."""
-    length = max(1, round(_CALM_S * fps))
     moments = []
-    for block in np.array_split(points_m, max(1, len(points_m) // length)):
-        known = np.isfinite(block).all(-1)
-        enough = known.sum(0) >= max(1, 0.5 * len(block))
-        if enough.sum() >= _MIN_JOINTS:
-            moments.append(np.array([np.median(block[known[:, k], k], axis=0) for k in np.flatnonzero(enough)]))
+    for block in np.array_split(points_m, max(1, len(points_m) // max(1, round(_CALM_S * fps)))):
+        often = np.isfinite(block).all(-1).mean(0) >= 0.5
+        if often.sum() >= _MIN_JOINTS:
+            moments.append(np.nanmedian(block[:, often], axis=0))
     if not moments:
         return float("nan")
     joints = np.concatenate(moments)
