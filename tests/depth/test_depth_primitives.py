@@ -87,7 +87,7 @@ def test_a_primitive_stands_before_what_is_behind_it_and_before_the_unknown() ->
         assert depth_m.dtype == np.float32
 
 
-def test_the_true_primitive_is_worth_most_and_gains_are_what_adding_brings() -> None:
+def test_the_true_primitive_is_worth_most_and_gains_no_more_than_adding_brings() -> None:
     room = made_room()
     seen = PhotoCostVolume(looks(room), room.room_box, 5, 1.5)
     true = cupboard(room).numbers
@@ -100,8 +100,8 @@ def test_the_true_primitive_is_worth_most_and_gains_are_what_adding_brings() -> 
     assert (gains[1:] < 0.6 * gains[0]).all()
     before = float(seen.cost.sum(dtype=np.float64))
     seen.add(true)
-    # What is hidden behind it counts as unseen both ways; colour odds are no part of the cost.
-    assert before - float(seen.cost.sum(dtype=np.float64)) == pytest.approx(gains[0], rel=0.25)
+    # What it hides counts no more than what it shows; colour odds are no part of the cost.
+    assert 0.5 < gains[0] / (before - float(seen.cost.sum(dtype=np.float64))) < 1.1
     assert seen.gains(true[None])[0] == pytest.approx(0.0, abs=1e-6)
 
 
@@ -125,25 +125,14 @@ def test_what_reaches_behind_a_camera_is_drawn_where_rays_meet_it() -> None:
     assert cut > 5, "some pass right before a camera"
 
 
-def test_what_only_hides_a_floor_in_the_wrong_place_is_contradicted() -> None:
-    """A floor that is taken to be 0.4 m too high matches nowhere, and any box in mid-air that hides it explains the
-    photos better."""
+def test_what_only_hides_a_floor_in_the_wrong_place_gains_nothing() -> None:
+    """A floor that is taken to be 0.4 m too high matches nowhere, and any box in mid-air hides some of it."""
     room = made_room(table=False)
     too_high = replace(room.room_box, low_m=room.room_box.low_m + np.array([0, 0, 0.4]))
     seen = PhotoCostVolume(looks(room), too_high, 5, 1.5, looks=False)
     rng = np.random.default_rng(0)
     upright = np.array([[*rng.uniform(-1, 1, 2), 0, 1.2, 0.1, 0.5, 0.9] for _ in range(40)])
-    hiding = upright[seen.gains(upright) > 100]
-    assert len(hiding) > 10, "they explain the photos better"
-    assert np.mean([seen.is_contradicted(one) for one in hiding]) > 0.9
-
-
-def test_what_is_there_is_not_contradicted() -> None:
-    room = made_room()
-    seen = PhotoCostVolume(looks(room), room.room_box, 5, 1.5)
-    moved = cupboard(room).numbers + np.array([0.08, -0.08, 0, 0, 0, 0, 0])
-    assert not seen.is_contradicted(cupboard(room).numbers)
-    assert not seen.is_contradicted(moved), "nor when it is some centimetres beside"
+    assert np.mean(seen.gains(upright) < 20) > 0.9
 
 
 def test_the_cupboard_is_found(furnished: tuple[Room, list[Picture], list[Primitive]]) -> None:
@@ -172,7 +161,7 @@ def test_a_table_gets_its_legs() -> None:
             own, own_m = photograph(replace(room, table=one), camera)
             rgb, depth_m = np.where((own_m < depth_m)[..., None], own, rgb), np.minimum(depth_m, own_m)
         pictures.append(Picture(camera, rgb, np.ones(camera.hw, bool)))
-    found = put_up(pictures, room.room_box, most=8)
+    found = put_up(pictures, room.room_box, least_gain=60.0, most=8)
     top, *rest = sorted(found, key=lambda one: -one.size_m[0] * one.size_m[1])
     assert top.high_m == pytest.approx(0.75, abs=0.04)
     places = [room.room_box.axes[:2, :2] @ np.array(one.centre_m) for one in rest if max(one.size_m) < 0.2]

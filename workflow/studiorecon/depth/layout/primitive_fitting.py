@@ -29,8 +29,6 @@ _MIN_SIDE_M, _MIN_HEIGHT_M = 0.05, 0.04
 _CLEARANCE_M = 0.05
 # So many proposals are evaluated again at a time, and so many of them moved.
 _HEAD, _CLIMBERS = 16, 2
-# Proposals this near the middle of a refused one would be moved to it.
-_REFUSED_M = 0.25
 
 
 def neighbour_primitives(primitive: Float[np.ndarray, " 7"], step_m: float, turns: bool) -> Float[np.ndarray, "M 7"]:
@@ -136,9 +134,9 @@ def _move_primitive(
 class Proposals:
     """Candidate primitives with their last gains; gains only fall as a room is filled."""
 
-    def __init__(self, least: float) -> None:
-        """Start empty; primitives that explain fewer than ``least`` pixels are dropped."""
-        self._least = least
+    def __init__(self, least: float, thin: bool = False) -> None:
+        """Start empty; primitives, all ``thin`` or none, that explain fewer than ``least`` pixels are dropped."""
+        self._least, self.thin = least, thin
         self._primitives: list[np.ndarray] = []
         self._heap: list[tuple[float, int]] = []
 
@@ -152,28 +150,18 @@ class Proposals:
                 heapq.heappush(self._heap, (-float(price), len(self._primitives)))
                 self._primitives.append(primitive)
 
-    def take(
-        self, room: PhotoCostVolume, most: int, refused_m: Float[np.ndarray, "M 4"]
-    ) -> list[tuple[Float[np.ndarray, " 7"], float]]:
-        """Remove and return the best primitives by their current gain, at most ``most``, with that number of pixels.
-
-        Those too near one of ``refused_m`` (M, 4: points and distances) are removed: they would be moved to the refused
-        one.
-        """
+    def take(self, room: PhotoCostVolume, most: int) -> list[tuple[Float[np.ndarray, " 7"], float]]:
+        """Remove and return the best primitives by their current gain, at most ``most``, with that number of pixels."""
         while self._heap:
             # The best few by their last gain, evaluated again, include the best.
             head = [heapq.heappop(self._heap)[1] for _ in range(min(_HEAD, len(self._heap)))]
-            prices = room.gains(np.array([self._primitives[k] for k in head]))
+            prices = room.gains(np.array([self._primitives[k] for k in head]), self.thin)
             ranked = sorted((-float(price), k) for k, price in zip(head, prices) if price >= self._least)
             best = [entry for entry in ranked if not self._heap or entry <= self._heap[0]][:most]
             for entry in ranked[len(best) :]:
                 heapq.heappush(self._heap, entry)
-            found = [(self._primitives[k], -price) for price, k in best]
-            found = [
-                one for one in found if not (contains_any(one[0][None], refused_m)[0] and room.is_contradicted(one[0]))
-            ]
-            if found:
-                return found
+            if best:
+                return [(self._primitives[k], -price) for price, k in best]
         return []
 
 
@@ -190,7 +178,7 @@ def fit_primitives(
     """The primitives that explain the pictures better than the bare room box, in the order of selection.
 
     Greedy: the best few proposals are moved to where they explain most. The best of them is added if the photos'
-    disagreement falls by ``least_gain`` pixels and the cameras do not contradict it; then the rest are evaluated again.
+    disagreement falls by ``least_gain`` pixels; then the rest are evaluated again.
     No primitive may contain a camera or one of ``free_m`` (M, 4: points and distances to keep), where people were seen.
     The platform comes first. Costs some 10 s for four pictures 160 pixels wide.
     """
@@ -206,16 +194,15 @@ def fit_primitives(
     found = [primitive for source in sources for primitive in source(room, room_box)]
     proposals = np.array(found).reshape(-1, 7)
     proposals = proposals[is_allowed(proposals, room_box, taken)]
-    others, legs = Proposals(least_gain / 2), Proposals(least_gain / 2)
+    others, legs = Proposals(least_gain / 2), Proposals(least_gain / 2, thin=True)
     others.keep(zip(proposals, room.gains(proposals)))
-    refused_m = np.zeros((0, 4))
     while len(evidence) < most and (others or legs):
         tried = [
             hill_climb(room, room_box, taken, primitive, gain, _STEPS_M[:2])
-            for primitive, gain in others.take(room, _CLIMBERS, refused_m)
+            for primitive, gain in others.take(room, _CLIMBERS)
         ]
         tried = sorted((one for one in tried if one[1] >= least_gain), key=lambda one: -one[1])
-        leg = [one for one in legs.take(room, 1, np.zeros((0, 4))) if one[1] >= least_gain]
+        leg = [one for one in legs.take(room, 1) if one[1] >= least_gain]
         if not tried and not leg:
             continue
         # Legs come after everything that explains more once it is moved, because four of them also explain part of a
@@ -226,16 +213,12 @@ def fit_primitives(
         others.keep(tried)
         legs.keep(leg)
         if not is_leg:
-            if room.is_contradicted(primitive):
-                middle = np.array([[*primitive[0:2], primitive[5:].mean()]])
-                refused_m = np.concatenate([refused_m, append_distance(middle, _REFUSED_M)])
-                continue
             primitive, gain = hill_climb(room, room_box, taken, primitive, gain, _STEPS_M[2:])
         room.add(primitive)
         evidence.append(gain)
         under = leg_candidates(primitive, room.floor_m)
         under = under[is_allowed(under, room_box, taken)]
-        legs.keep(zip(under, room.gains(under)))
+        legs.keep(zip(under, room.gains(under, legs.thin)))
     return [Primitive.from_numbers(primitive, gain) for primitive, gain in zip(room.primitives, evidence)]
 
 

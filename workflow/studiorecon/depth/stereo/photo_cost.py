@@ -3,9 +3,10 @@
 
 A pixel's surface is seen by other cameras or hidden from them; those that see it must show the same colours (windowed
 correlation over the pixels of one surface). So a primitive gains by its faces that match and by wrong matches behind it
-that it hides, and loses by every right match that it hides. Parts that no other camera sees gain nothing by matching.
-Regions that differ from the wall behind may extend matched ones, or form an object on the floor that is seen without
-occlusion (``self_dissimilarity``).
+that it hides, and loses by every right match that it hides. What it hides gains no more than its faces: where a floor
+is in the wrong place, all that hides it would gain. Parts that no other camera sees gain nothing by matching. Regions
+that differ from the wall behind may extend matched ones, or form an object on the floor that is seen without occlusion
+(``self_dissimilarity``).
 """
 
 from __future__ import annotations
@@ -28,9 +29,6 @@ if TYPE_CHECKING:
 # Another camera confirms a surface below this cost. At it, a tenth of a made room's pixels are more than 5 % off
 # (2 % at 0.3, a quarter at 0.8).
 MAX_CONFIRMED_COST = 0.5
-# Pixels that show a real object cost less than before by a tenth at least in rooms whose tables match worst; by
-# nothing, on ten thousand pixels, in a real room whose floor is lower than assumed.
-_MIN_BETTER = 0.05
 
 
 @dataclass(frozen=True)
@@ -105,24 +103,12 @@ class PhotoCostVolume:
         *_, cost, view_count = explain_all(*photos, depth, np.zeros_like(self.surface), *self._how)
         return Surface(depth_m, cost[own], view_count[own] > 0)
 
-    def gains(self, primitives: Float[np.ndarray, "N 7"]) -> Float[np.ndarray, " N"]:
-        """Decrease of all pixels' cost with each of the primitives added alone."""
-        return self._gains_and_costs(primitives)[:, 0]
-
-    def is_contradicted(self, primitive: Float[np.ndarray, " 7"]) -> bool:
-        """Whether the pixels that show a primitive match no better than before, so that it only hides wrong matches.
-
-        A wall or floor in the wrong place matches nothing, and everything that hides it explains the photos better.
-        """
-        _, better, was = self._gains_and_costs(np.asarray(primitive)[None])[0]
-        return bool(better < _MIN_BETTER * was)
-
-    def _gains_and_costs(self, primitives: Float[np.ndarray, "N 7"]) -> Float[np.ndarray, "N 3"]:
-        """Gains, their part on pixels that show the primitives, and those pixels' cost before."""
+    def gains(self, primitives: Float[np.ndarray, "N 7"], thin: bool = False) -> Float[np.ndarray, " N"]:
+        """Decrease of all pixels' cost with each of the primitives added alone; ``thin``: too thin to match."""
         judged = (self.pair, self.at, self.z, self.begin, self.dependents, self.cost)
         explained = (self.depth, self.surface, *judged, self.foreground_log_odds)
         tried = np.ascontiguousarray(primitives, np.float64)
-        return trial_gains(self._photos, explained, *self._how, self.floor_m, tried)
+        return trial_gains(self._photos, explained, *self._how, self.floor_m, tried, thin)
 
     @property
     def _photos(self) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray, np.ndarray]:

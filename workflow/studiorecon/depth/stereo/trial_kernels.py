@@ -31,16 +31,16 @@ _CLEAR_FOOT, _BELOW, _BESIDE, _STANDING_M = 0.5, 2, 2, 0.03
 
 
 @njit(cache=True, parallel=True)
-def trial_gains(photos, explained, half, mean_weight, floor_m, primitives):
-    """(N, 3) decrease of the cost of all pixels with each of N primitives (N, 7) added alone, and two parts of it.
+def trial_gains(photos, explained, half, mean_weight, floor_m, primitives, thin):
+    """(N,) decrease of the cost of all pixels with each of N primitives (N, 7) added alone.
 
-    These are, for pixels that show it and that another camera judges, the decrease and the cost before. ``photos``:
-    lens, pose, centre, rgb, known; ``explained``: depth, surface, pair, at, z, begin, dependents, cost, odds
-    (``photo_cost.PhotoCostVolume``); ``floor_m``: height of the floor.
+    ``photos``: lens, pose, centre, rgb, known; ``explained``: depth, surface, pair, at, z, begin, dependents,
+    cost, odds (``photo_cost.PhotoCostVolume``); ``floor_m``: height of the floor; ``thin``:
+    they have too few pixels to match, and gain by all that they hide.
     """
-    found = np.zeros((len(primitives), 3))
+    found = np.zeros(len(primitives))
     for k in prange(len(primitives)):
-        found[k, 0], found[k, 1], found[k, 2] = _gain(photos, explained, half, mean_weight, floor_m, primitives[k])
+        found[k] = _gain(photos, explained, half, mean_weight, floor_m, primitives[k], thin)
     return found
 
 
@@ -73,7 +73,7 @@ def _is_unoccluded(number, known, surface, odds, top, bottom, left, right):
 
 
 @njit(cache=True)
-def _gain(photos, explained, half, mean_weight, floor_m, primitive):
+def _gain(photos, explained, half, mean_weight, floor_m, primitive, thin):
     lens, pose, centre, rgb, known = photos
     depth, surface, pair, at, z, begin, dependents, cost, odds = explained
     views, height, width = known.shape
@@ -101,7 +101,7 @@ def _gain(photos, explained, half, mean_weight, floor_m, primitive):
                     flat_here = y * width + x
                     for entry in range(begin[o, flat_here], begin[o, flat_here + 1]):
                         behind.flat[dependents[o, entry]] = True
-    gain, shown, before_cost, unlike, clear = 0.0, 0.0, 0.0, 0.0, 0.0
+    hiding, shown, unlike, clear = 0.0, 0.0, 0.0, 0.0
     for v in range(views):
         before_view = unlike
         # Pixels that now show the primitive.
@@ -151,9 +151,8 @@ def _gain(photos, explained, half, mean_weight, floor_m, primitive):
                 was = cost[v, y + top, x + left]
                 if count[y, x] > 0:
                     shown += was - total[y, x] / count[y, x]
-                    before_cost += was
                 elif was < UNSEEN:
-                    gain += was - UNSEEN
+                    hiding += was - UNSEEN
                 elif surface[v, y + top, x + left] < 6:
                     unlike += _ODDS_WEIGHT * odds[v, y + top, x + left]
         own = (unlike - before_view) / _ODDS_WEIGHT
@@ -179,8 +178,9 @@ def _gain(photos, explained, half, mean_weight, floor_m, primitive):
                         sum_ += pair[v, o, y, x]
                         n += 1
                 if lost:
-                    gain += cost[v, y, x] - (sum_ / n if n else UNSEEN)
+                    hiding += cost[v, y, x] - (sum_ / n if n else UNSEEN)
+    # A floor in the wrong place matches nothing, and all that hides it would gain: no more than by what it shows.
+    gain = shown + (hiding if thin else min(hiding, max(shown, 0.0)))
     # Dissimilarity extends regions on which cameras agree, and never counts more than them: one photo does not
     # determine the position of a floating object. It does determine that of an object whose foot it sees.
-    gain += shown
-    return gain + max(min(unlike, max(gain, 0.0)), clear), shown, before_cost
+    return gain + max(min(unlike, max(gain, 0.0)), clear)
