@@ -110,12 +110,18 @@ def test_lenses_are_estimated_with_the_poses(options, template, k1):
         assert abs(report["radial_k1"][camera.name] - radial) < 3 * report["radial_sigma"][camera.name]
 
 
-def test_a_camera_with_another_lens_is_not_made_like_the_others(options, template):
-    made = made_capture(1, -0.2, similar=False, people=2)
+@pytest.mark.parametrize(
+    ("seed", "drawn", "most"),
+    [(1, {"people": 2}, 0.04), (6, {"views": 7, "people": 1, "seconds": 20.0, "fps": 5.0, "around": 0.6}, 0.1)],
+    ids=["four cameras", "seven cameras and few moments"],
+)
+def test_cameras_with_other_lenses_are_not_made_alike(options, template, seed, drawn, most):
+    made = made_capture(seed, -0.28, similar=False, **drawn)
     sizes = [c.wh for c in made.cameras]
-    found, _ = from_people.pose_cameras(made.detections, sizes, {}, made.frames, template, options)
+    found, report = from_people.pose_cameras(made.detections, sizes, {}, made.frames, template, options)
     longer = [np.log(f.focal_px[0] / c.focal_px[0]) for f, c in zip(found, made.cameras, strict=True)]
-    assert np.abs(longer).max() < 0.04, "the true ones differ by 30 %"
+    assert np.abs(longer).max() < most, "the true ones differ by 30 %"
+    assert after_similarity(found, made.cameras)[0].max() < report["between_deg"]
 
 
 def test_too_few_pictures_are_undetermined_even_with_known_lenses(options, template):

@@ -121,8 +121,8 @@ def pose_cameras(
             "the cameras are undetermined: no two cameras see enough of one person at once to "
             "estimate their poses; check that the videos are synchronised, or bring a calibration"
         )
-    estimate = with_edges(estimate, knowledge, template_m, edges or {})
-    estimate = with_floor(estimate, knowledge, template_m, rooms or {})
+    estimate = with_edges(estimate, template_m, edges or {})
+    estimate = with_floor(estimate, template_m, rooms or {})
     known_to = camera_intervals(estimate.solution)
     turn, place, between_deg = known_to.turn_deg, known_to.place_m, known_to.between_deg
     uncertain = _uncertain(names, focal_px, turn, place, known_to.focal, about)

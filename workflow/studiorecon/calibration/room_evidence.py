@@ -15,7 +15,7 @@ from studiorecon.progress import say
 from studiorecon.rig.estimate import RigEstimate, RoomEvidence, add_room_evidence
 from studiorecon.rig.floor_marks import floor_marks
 from studiorecon.rig.gravity import world_from_people
-from studiorecon.rig.lens_knowledge import LensKnowledge, distort_marks, undistort_points
+from studiorecon.rig.lens_knowledge import distort_marks, undistort_points
 from studiorecon.rig.room_picture import RoomPicture
 from studiorecon.rig.room_turns import room_turns
 from studiorecon.scene.camera import Camera, Lens
@@ -45,7 +45,6 @@ def radial_lens(camera: Camera, radial: float) -> Lens:
 
 def with_edges(
     found: RigEstimate,
-    knowledge: LensKnowledge,
     template_m: Num[np.ndarray, "12 3"],
     edges: Mapping[str, Num[np.ndarray, "N 4"]],
 ) -> RigEstimate:
@@ -63,7 +62,7 @@ def with_edges(
     turns = max(tried, key=lambda found: sum(turn.along for turn in found.values()))
     if not turns:
         return found
-    after, allowed = add_room_evidence(found, knowledge, template_m, RoomEvidence(turns, own))
+    after, allowed = add_room_evidence(found, template_m, RoomEvidence(turns, own))
     if not allowed:
         say(f"the room's edges are not used, because people contradict them ({_cost_increase(found, after)})")
     return after if allowed else found
@@ -74,7 +73,7 @@ def _focal_scaling(factor: float) -> np.ndarray:
 
 
 def with_floor(
-    found: RigEstimate, knowledge: LensKnowledge, template_m: Num[np.ndarray, "12 3"], rooms: Mapping[str, RoomPicture]
+    found: RigEstimate, template_m: Num[np.ndarray, "12 3"], rooms: Mapping[str, RoomPicture]
 ) -> RigEstimate:
     """The estimate with the floor's marks, where people agree; else unchanged. Better cameras match the marks again."""
     best = found
@@ -89,7 +88,7 @@ def with_floor(
         if marks is None:
             return best
         marks = distort_marks(marks, best.cameras, best.radial)
-        after, allowed = add_room_evidence(found, knowledge, template_m, replace(found.room, marks=marks))
+        after, allowed = add_room_evidence(found, template_m, replace(found.room, marks=marks))
         if not allowed:
             say(f"the floor is not used, because people contradict it ({_cost_increase(found, after)})")
             return found

@@ -15,7 +15,7 @@ from studiorecon.estimate.factors.bones import bone_factors
 from studiorecon.estimate.factors.edges import room_edges
 from studiorecon.estimate.factors.feet import feet_on_floor
 from studiorecon.estimate.factors.keypoints import keypoint_factor, viewing_sides
-from studiorecon.estimate.factors.lenses import known_lenses, similar_lenses
+from studiorecon.estimate.factors.lenses import known_lenses, similar_lenses, similarity_gain
 from studiorecon.estimate.factors.poses import ANKLE_HEIGHT_M, known_poses
 from studiorecon.estimate.solver import Solution, solve
 from studiorecon.estimate.unknowns import LOG_FOCAL, PER_CAMERA, PRINCIPAL, RADIAL, Unknowns
@@ -73,7 +73,7 @@ class RigEstimate:
         solution: of the solver.
         noise: of the keypoints.
         people_cost: twice the negative log posterior without the room.
-        room: the evidence that was used.
+        room: the evidence that was used; ``knowledge``: the prior.
     """
 
     cameras: list[Camera]
@@ -84,6 +84,7 @@ class RigEstimate:
     noise: DetectorNoise
     people_cost: float
     room: RoomEvidence
+    knowledge: LensKnowledge
 
     @property
     def room_directions(self) -> Num[np.ndarray, "3 3"] | None:
@@ -114,23 +115,33 @@ def estimate_rig(
     found, noise = None, DetectorNoise.typical(cameras, limits)
     # Lenses differ at first: from equal ones, a lens of another make would not be released.
     alone = replace(knowledge, makes=tuple(range(len(cameras))))
-    current, k1 = list(cameras), np.asarray(radial, float)
+    current, k1, lenses = list(cameras), np.asarray(radial, float), alone
     for number in range(_ROUNDS):
         outliers = limits.outlier_units * (_LOOSE if number == 0 else _NARROW)
         rig = _group_people(current, k1, seen, gate_m, replace(limits, outlier_units=outliers))
         if rig is None:
             return found
-        before, found = found, estimate_once(rig, k1, knowledge if number else alone, template_m, noise)
+        before, found, measured = found, estimate_once(rig, k1, lenses, template_m, noise), noise
         current, k1, noise = found.cameras, found.radial, found.noise
-        if before is not None:
+        if number == 0:
+            lenses = knowledge
+        elif before is not None:
             change = [np.log(a.focal_px[0] / b.focal_px[0]) for a, b in zip(found.cameras, before.cameras)]
-            if np.abs(change).max() < _SETTLED_SHARE:
+            if np.abs(change).max() >= _SETTLED_SHARE:
+                continue
+            if lenses is alone:
                 break
+            settled = replace(rig, cameras=dict(enumerate(current)))
+            free = estimate_once(settled, k1, alone, template_m, measured, start_m=found.points_m)
+            if found.solution.cost - free.solution.cost <= similarity_gain(knowledge.makes, knowledge.sigma):
+                break
+            # The pictures' sizes are equal, not the lenses.
+            current, k1, lenses, found = free.cameras, free.radial, alone, free
     return found
 
 
 def add_room_evidence(
-    found: RigEstimate, knowledge: LensKnowledge, template_m: Num[np.ndarray, "12 3"], room: RoomEvidence
+    found: RigEstimate, template_m: Num[np.ndarray, "12 3"], room: RoomEvidence
 ) -> tuple[RigEstimate, bool]:
     """The estimate from people and the room, and whether people agree with it.
 
@@ -139,7 +150,7 @@ def add_room_evidence(
     """
     cameras = dict(enumerate(found.cameras))
     rig = replace(found.rig, cameras=cameras)
-    after = estimate_once(rig, found.radial, knowledge, template_m, found.noise, room, found.points_m)
+    after = estimate_once(rig, found.radial, found.knowledge, template_m, found.noise, room, found.points_m)
     numbers = int(found.solution.free[: PER_CAMERA * len(cameras)].sum())
     return after, bool(after.people_cost - found.people_cost <= chdtri(numbers, 1 - _LEVEL))
 
@@ -242,6 +253,7 @@ def estimate_once(
         measure_detector_noise(of_people.evaluate(found) * sigma_px[:, None], view, cell, px_per_m, cameras),
         sum(f.cost(f.evaluate(found)) for f in factors),
         room,
+        knowledge,
     )
 
 

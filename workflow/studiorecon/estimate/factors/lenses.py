@@ -71,3 +71,11 @@ def similar_lenses(unknowns: Unknowns, makes: Sequence[object]) -> list[Factor]:
         columns = np.stack([unknowns.columns("cameras", v, [number], PER_CAMERA)[:, 0] for v in pairs.T], axis=1)
         found.append(SimilarLenses(columns, _FREEDOM, sigma * np.sqrt(others[pairs[:, 0]] + 1)))
     return found
+
+
+def similarity_gain(makes: Sequence[object], sigma: Num[np.ndarray, "V 4"]) -> float:
+    """Twice the logarithm by which equal lenses are likelier if cameras with equal ``makes`` are of one make, than if
+    each lens was drawn alone with ``sigma`` (log focal length and k1 first)."""
+    repeated = [v for v, make in enumerate(makes) if make in makes[:v]]
+    odds = sigma[repeated, :2] * np.sqrt(2 / np.pi) / [SIMILAR_FOCAL, SIMILAR_RADIAL]
+    return float(2 * np.log(np.maximum(odds, 1.0)).sum())
