@@ -134,8 +134,12 @@ def groups_at_once(compared: TrackComparison) -> list[Group]:
     if compared.limits.method == "star":
         return [compared.group(members) for members in _stars(compared)]
     pairs = compared.pairs
+    # Whatever the affinity goes by, rays decide where they are known: those that pass each other show two people.
+    apart = pairs.graph.distance_m >= compared.limits.gate_m
+    forbidden = np.where(np.isnan(pairs.graph.distance_m), pairs.forbidden, apart)
     # A person who is always present is not outvoted by false detections in short stretches.
-    chosen = groups_by_affinity(np.nan_to_num(pairs.affinity) * pairs.graph.moments, pairs.forbidden)
+    affinity = np.where(apart, 0.0, np.nan_to_num(pairs.affinity)) * pairs.graph.moments
+    chosen = groups_by_affinity(affinity, forbidden)
     return [compared.group([pairs.nodes[n] for n in rows]) for rows in chosen]
 
 
