@@ -39,15 +39,17 @@ class Factor(ABC):
         """Residuals in standard deviations."""
         return self.residuals(unknowns.values[self.columns], unknowns)
 
-    def derivatives(self, unknowns: Unknowns) -> Num[np.ndarray, "M D K"]:
-        """Derivatives of the residuals, by complex steps."""
+    def derivatives(
+        self, unknowns: Unknowns, numbers: Integer[np.ndarray, " L"] | None = None
+    ) -> Num[np.ndarray, "M D L"]:
+        """Derivatives of the residuals by the K unknowns, or ``numbers`` of them, by complex steps."""
         at = unknowns.values[self.columns].astype(np.complex128)
         found = []
-        for k in range(at.shape[1]):
+        for k in range(at.shape[1]) if numbers is None else numbers:
             at[:, k] += 1j * _STEP
             found.append(self.residuals(at, unknowns).imag / _STEP)
             at[:, k] = at[:, k].real
-        return np.stack(found, axis=-1)
+        return np.stack(found, axis=-1) if found else np.zeros((*self.evaluate(unknowns).shape, 0))
 
     def cost(self, residuals: Num[np.ndarray, "M D"]) -> float:
         """Twice the negative log likelihood, up to a constant."""

@@ -153,8 +153,9 @@ class _Layout:
             if not len(off):
                 continue
             root = np.sqrt(factor.weights(off))[:, None]
-            slopes, off = factor.derivatives(unknowns) * root[..., None], off * root
-            common, alone = slopes[:, :, part.common], slopes[:, :, part.alone]
+            # Of what is fixed none is needed.
+            slopes = factor.derivatives(unknowns, np.concatenate([part.common, part.alone])) * root[..., None]
+            common, alone, off = slopes[:, :, : len(part.common)], slopes[:, :, len(part.common) :], off * root
             for total, places, values in (
                 (shared, part.in_shared, np.swapaxes(common, 1, 2) @ common),
                 (mixed, part.in_mixed, np.swapaxes(alone, 1, 2) @ common),
