@@ -235,14 +235,9 @@ def _add_room(
     """The freedom of ``priors`` and the estimate by people and ``room``; None where people contradict them."""
     tried = _estimates(found.rig, priors, found.noise, room, found.points_m)
     required = _required(priors, tried)
-    # People are judged by the errors that remain when the room is right.
-    noise, prior = tried[required].noise, priors[required]
-    alone, after = (
-        estimate_once(
-            replace(found.rig, cameras=dict(enumerate(one.cameras))), one.radial, p, _ADULT_M, noise, r, one.points_m
-        )
-        for one, p, r in ((found, prior, _NO_ROOM), (tried[required], prior, room))
-    )
+    after, alone = tried[required], found
+    if required != name:
+        alone = _estimates(found.rig, {required: priors[required]}, found.noise, start_m=found.points_m)[required]
     numbers = max(int(after.solution.free[: PER_CAMERA * len(found.cameras)].sum()), 1)
     return (required, after) if after.people_cost - alone.people_cost <= chdtri(numbers, 1 - _LEVEL) else None
 
