@@ -103,19 +103,18 @@ def group_terms(
     witnesses: Sequence[CameraEvidence | None],
 ) -> list[list[Term]]:
     """The terms of each group; pictures are read for those that they can still decide."""
-    rig_m, graph, fps = rig_sigma_m(compared), compared.pairs.graph, compared.fps
+    rig_m, distance_m, fps = rig_sigma_m(compared), compared.pairs.graph.distance_m, compared.fps
     about = []
     for group in groups:
-        between = np.ix_(*2 * [compared.rows(group)])
         extremities_m = compared.group(group.members, terms.EXTREMITIES).points_m
         about.append(
             [
                 terms.duration(group, fps),
                 terms.views(group, compared.cameras),
-                terms.rays(group, graph.distance_m[between], compared.limits.gate_m, rig_m),
+                terms.rays(group, compared.between(group, distance_m), compared.limits.gate_m, rig_m),
                 terms.size(group.bones),
                 terms.proportions(group.bones),
-                terms.posture(compared.pairs.pose_rad[between]),
+                terms.posture(compared.between(group, compared.pairs.pose_rad)),
                 terms.depth(group.points_m, extremities_m, group.bones, fps),
             ]
         )

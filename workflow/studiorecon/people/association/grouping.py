@@ -107,6 +107,12 @@ class TrackComparison:
         """Rows of the pairs that are the group's members."""
         return [self.pairs.nodes.index(m) for m in group.members]
 
+    def between(self, group: Group, values: Float[np.ndarray, "M M"]) -> Float[np.ndarray, " N"]:
+        """The known ``values`` of pairs of its members, each as often as there are frames in which both are seen."""
+        pairs = np.triu_indices(len(self.pairs.nodes), 1)
+        known = np.isin(pairs, self.rows(group)).all(0) & np.isfinite(values[pairs])
+        return np.repeat(values[pairs][known], self.pairs.graph.moments[pairs][known])
+
     def group(self, members: Sequence[tuple[int, int]], keypoints: Sequence[str] = STABLE_KEYPOINTS) -> Group:
         """The group of ``members`` (view, track), with its triangulated ``keypoints``."""
         shape = len(self.cameras), self.frames, len(keypoints)

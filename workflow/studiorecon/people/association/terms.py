@@ -160,11 +160,10 @@ def views(group: Group, cameras: Sequence[Camera]) -> Term:
     return Term("views", float(np.clip(nats[:-2].sum() - nats[-2:].sum(), -8, 3)), said)
 
 
-def rays(group: Group, distance_m: Float[np.ndarray, "M M"], gate_m: float, rig_m: float) -> Term:
-    """Term of the distance of rays of its members (``distance_m``, NaN unknown), with the rig's own ``rig_m``, and of
-    the share of keypoints that agree."""
+def rays(group: Group, gaps: Float[np.ndarray, " N"], gate_m: float, rig_m: float) -> Term:
+    """Term of the distances of rays of its members (``gaps``, m, one per shared frame), with the rig's own ``rig_m``,
+    and of the share of keypoints that agree."""
     sigma_m = float(np.hypot(_RAY_SIGMA_M, rig_m))
-    gaps = distance_m[np.isfinite(distance_m)]
     shares = group.agreement[np.isfinite(group.agreement)]
     nats, said = 0.0, []
     if len(gaps):
@@ -196,11 +195,9 @@ def proportions(bones: Bones) -> Term:
     return Term("proportions", nats, f"its proportions are not a person's: {', '.join(off)}")
 
 
-def posture(pose_rad: Float[np.ndarray, "M M"]) -> Term:
-    """Term of the difference between cameras' postures, by the detector's guess (``pose_rad`` of its members, NaN
-    unknown)."""
-    known = pose_rad[np.isfinite(pose_rad)]
-    apart = float(np.median(known)) if len(known) else float("nan")
+def posture(angles_rad: Float[np.ndarray, " N"]) -> Term:
+    """Term of the differences between cameras' postures, by the detector's guess, one per shared frame."""
+    apart = float(np.median(angles_rad)) if len(angles_rad) else float("nan")
     return Term("posture", _POSTURE.nats(apart), f"the postures that cameras see are {np.degrees(apart):.0f}° apart")
 
 
