@@ -227,7 +227,7 @@ def the_man(
         **cost,
         "before_px": outcome.report["before_px"],
         "after_px": outcome.report["after_px"],
-        "lens": outcome.report["lens"],
+        "freedom": outcome.report["freedom"],
         "body_to_points_mean_mm": 1000 * float(np.linalg.norm(on_body - points.points_m, axis=-1)[known].mean()),
         "ours": scored(ours, outcome.training, seen, lenses),
         "ours, the given cameras": scored(
