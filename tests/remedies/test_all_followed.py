@@ -28,7 +28,8 @@ ELSEWHERE = {
     "cameras/refine.py _nothing_agrees": "cameras/test_cameras.py "
     "test_a_calibration_that_fits_nothing_is_refused_and_the_right_one_is_used",
     "keypoints/layout_choice.py choose_layout 4": "remedies/test_keypoints.py test_a_layout_named_as_advised_is_taken",
-    "people/association/grouping.py pairs": "people/test_people_lift.py test_two_cameras_find_the_same_people_by_them",
+    "people/association/grouping.py TrackComparison.pairs": "people/test_people_lift.py "
+    "test_two_cameras_find_the_same_people_by_them",
     "deliver/motion_files.py c3d": "deliver/test_deliver_motion.py "
     "test_without_ezc3d_a_warning_says_that_trc_has_the_markers",
     "detect/keypoints.py _of_chapters": "detect/test_film_check.py test_chapters_are_compared_as_one_film",
