@@ -6,7 +6,7 @@ from __future__ import annotations
 import cv2
 import numpy as np
 import pytest
-from studiorecon.depth.depth_edges import depth_edge_pixels, sharpen_depth
+from studiorecon.depth.depth_edges import depth_edge_pixels, edge_sigma, sharpen_depth
 from studiorecon.depth.fusion import NetworkTerm, label_with_network
 from studiorecon.depth.learned import LearnedDepth, calibrate
 from studiorecon.depth.stereo.photo_cost import Surface
@@ -69,6 +69,10 @@ def test_blurred_edges_return_to_the_photos() -> None:
     blurred = 1 / cv2.GaussianBlur(1 / depth, (0, 0), 1.0)
     assert np.abs(blurred / depth - 1).max() > 0.3
     np.testing.assert_allclose(sharpen_depth(blurred, rgb), depth, rtol=0.03)
+    # There the network may show either surface; away from edges a blur changes nothing.
+    sigma = edge_sigma(blurred)
+    assert sigma[50, 60] == pytest.approx(np.log(2) / np.sqrt(12), rel=0.1)
+    assert sigma[50, 85] == 0 == sigma[10, 10]
     # A crease is no edge.
     crease = 1 / np.broadcast_to(np.maximum(0.2, np.linspace(0, 0.5, 90))[:, None], (90, 160))
     assert not depth_edge_pixels(crease.astype(np.float32))[5:-5].any()

@@ -34,6 +34,16 @@ def depth_edge_pixels(depth_m: Float[np.ndarray, "H W"]) -> Bool[np.ndarray, "H 
     return near & far
 
 
+def edge_sigma(depth_m: Float[np.ndarray, "H W"]) -> Float[np.ndarray, "H W"]:
+    """Float32 standard deviation of log depth (all known) that a blur adds at edges; 0 elsewhere.
+
+    An edge's pixel may show any surface within a blur of it: a uniform distribution over their log depths.
+    """
+    logs, around = np.log(depth_m).astype(np.float32), np.ones((2 * _reach(depth_m.shape) + 1,) * 2)
+    spread = cv2.dilate(logs, around) - cv2.erode(logs, around)
+    return np.where(depth_edge_pixels(depth_m), spread / np.float32(np.sqrt(12)), 0)
+
+
 def sharpen_depth(depth_m: Float[np.ndarray, "H W"], rgb: Float[np.ndarray, "H W 3"]) -> Float[np.ndarray, "H W"]:
     """Float32 depth (all known) whose edges are where the photo changes.
 

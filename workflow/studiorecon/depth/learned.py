@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Literal
 
 import numpy as np
 
-from studiorecon.depth.depth_edges import sharpen_depth
+from studiorecon.depth.depth_edges import edge_sigma, sharpen_depth
 from studiorecon.geometry.depth_alignment import Alignment, align_depth
 from studiorecon.geometry.statistics import SIGMA_OF_MAD
 from studiorecon.images.sizes import corner_shares, resample_corners
@@ -70,11 +70,7 @@ class Calibration:
     ) -> Float[np.ndarray, "H W"]:
         """The same with its edges on those of the photo ``rgb`` (``depth_edges``)."""
         depth_m = self.depth(estimate)
-        known = depth_m > 0
-        if not known.any():
-            return depth_m
-        filled = np.where(known, depth_m, float(np.median(depth_m[known])))
-        return np.where(known, sharpen_depth(filled, rgb), 0).astype(np.float32)
+        return np.where(depth_m > 0, sharpen_depth(_filled(depth_m), rgb), 0).astype(np.float32)
 
 
 @dataclass(frozen=True)
@@ -130,11 +126,18 @@ def calibrate(
         return None
     calibration, sigma = min(found, key=lambda one: float(np.median(one[1])))
     depth_m = calibration.sharp_depth(estimate, rgb)
+    sigma = np.hypot(sigma, edge_sigma(_filled(calibration.depth(estimate))))
     objects = measured & (depth_m > 0) & (_log_difference(reference_m, room_m) > 4 * sigma)
     missed = float((_log_difference(reference_m, depth_m) > 3 * np.hypot(sigma, _FURNITURE_SIGMA))[objects].sum())
     tile = (_TOGETHER_SHARE * max(estimate.shape)) ** 2
     outliers = (missed / tile + _PRIOR_WRONG) / (objects.sum() / tile + _PRIOR_RIGHT + _PRIOR_WRONG)
     return calibration, LearnedDepth(depth_m, sigma, float(outliers))
+
+
+def _filled(depth_m: np.ndarray) -> np.ndarray:
+    """The depth with unknown pixels (0) at the median of the others."""
+    known = depth_m > 0
+    return np.where(known, depth_m, np.median(depth_m[known]) if known.any() else 1).astype(np.float32)
 
 
 def _log_difference(first_m: np.ndarray, second_m: np.ndarray) -> np.ndarray:
