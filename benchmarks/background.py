@@ -102,9 +102,7 @@ def wanted(scene: Path, truth: Path) -> list[tuple[Camera, np.ndarray, np.ndarra
         depth_m = own.room_depth_m
         real = np.isfinite(depth_m) & (depth_m > 0)
         points = own.camera.unproject(true_pixels(camera, own.camera), np.where(real, depth_m, 1.0).astype(np.float64))
-        seen = [
-            is_visible(points, real, known[name].camera, known[name].room_depth_m, (_SEEN,))[0][0] for name in training
-        ]
+        seen = [is_visible(points, real, known[name].camera, known[name].room_depth_m, _SEEN)[0] for name in training]
         found.append((camera, plate, np.any(seen, axis=0)))
     return found
 
