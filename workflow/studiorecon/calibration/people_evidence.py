@@ -8,12 +8,11 @@ from typing import TYPE_CHECKING, TypeVar
 
 import numpy as np
 
-from studiorecon.geometry.triangulation import Limits
 from studiorecon.keypoints.detections import to_pinhole
 from studiorecon.rig.active_cameras import shared_frames
 from studiorecon.rig.correspondences import make_observations
 from studiorecon.rig.human_size import is_adult, median_stature_m
-from studiorecon.rig.starts import Start, is_clearly_better, people_nats
+from studiorecon.rig.starts import FRAMES, LIMITS, Start, is_clearly_better, people_nats
 from studiorecon.scene.camera import Camera, Lens
 from studiorecon.scene.people import Detections
 
@@ -21,8 +20,7 @@ if TYPE_CHECKING:
     from jaxtyping import Float
 
 T = TypeVar("T")
-# Frames on which people judge a calibration, spread over those that show them.
-FRAMES = 24
+# As where cameras are judged on people (``rig.agreement``).
 _GATE_M = 0.25
 
 
@@ -38,7 +36,7 @@ def is_in_metres(lenses: Sequence[Lens], sizes: Sequence[tuple[int, int]], peopl
     """Whether people have an adult's stature in the lenses' world; None where too few of their bones are seen."""
     cameras, seen = _pinholes(lenses, sizes, people)
     found, _ = make_observations(seen, cameras, shared_frames(people, FRAMES), _GATE_M)
-    stature_m = median_stature_m(cameras, found, Limits(outlier_units=9.0))
+    stature_m = median_stature_m(cameras, found, LIMITS)
     return None if stature_m is None else is_adult(stature_m)
 
 

@@ -12,12 +12,12 @@ import numpy as np
 from studiorecon.configuration.setting import setting
 from studiorecon.errors import UserError
 from studiorecon.rig.active_cameras import shared_frames
-from studiorecon.rig.agreement import AgreementLimits, CalibrationPrior, contradicted_share
+from studiorecon.rig.agreement import RefinementLimits, contradicted_share
 from studiorecon.rig.correspondences import Observations
 from studiorecon.rig.outlier_camera import find_outlier_camera
 from studiorecon.rig.refined_cameras import RefinedCameras, refine_cameras
 from studiorecon.rig.room_picture import RoomPicture
-from studiorecon.rig.starts import Comparison, Start, calibration_starts, compare
+from studiorecon.rig.starts import FRAMES, Comparison, Start, calibration_starts, compare
 from studiorecon.scene.camera import Camera
 from studiorecon.scene.people import Detections
 
@@ -27,12 +27,10 @@ if TYPE_CHECKING:
 _MAX_CONTRADICTED = 0.5
 # Share of the allowed error that moved cameras must reach.
 _SUSPICIOUS = 0.5
-# Frames on which readings of the calibration are compared.
-_JUDGED = 24
 
 
 @dataclass(frozen=True)
-class Settings(AgreementLimits, CalibrationPrior):
+class Settings(RefinementLimits):
     """Settings of the check and refinement, on ``frames`` spread over the clip."""
 
     refine: bool = setting(
@@ -77,15 +75,14 @@ class Check:
         s = self.settings
         if not s.refine:
             return None
-        px, allowed_px, about = (self.median_px, self.per_camera_px), _SUSPICIOUS * self.limit_px, (s.gate_m, s.limits)
-        both = self.given, self.detections
-        return refine_cameras(*both, watched, self.frames, px, allowed_px, (*about, s.pose_error), rooms)
+        px, allowed_px = (self.median_px, self.per_camera_px), _SUSPICIOUS * self.limit_px
+        return refine_cameras(self.given, self.detections, watched, self.frames, px, allowed_px, s, rooms)
 
     def refuse_other_starts(self, found: RefinedCameras | None) -> Comparison:
         """The scores of other readings of the calibration; UserError where people require one, or where one camera
         contradicts the others; ``found``: the cameras that will be used."""
         gate_m, moved = self.settings.gate_m, found is not None and found.has_moved
-        frames = shared_frames(self.detections, _JUDGED)
+        frames = shared_frames(self.detections, FRAMES)
         used = None if found is None else Start("as used", "", found.cameras, found.detections)
         compared = compare(calibration_starts(self.given, self.detections), frames, gate_m, used)
         compared.refuse_others(frames, gate_m)

@@ -19,7 +19,7 @@ from studiorecon.progress import progress, say, warn
 from studiorecon.scene.people import Detections
 from studiorecon.scene.raw_detections import RawDetections, unseen
 
-# Moments of people on which calibrations are judged (``calibration.people_evidence.FRAMES``), and seconds that a
+# Moments of people on which calibrations are judged (``rig.starts.FRAMES``), and seconds that a
 # keypoint's error lasts: frames within them are one moment.
 _ENOUGH, _MOMENT_S = 24, 0.2
 

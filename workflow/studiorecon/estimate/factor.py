@@ -39,13 +39,11 @@ class Factor(ABC):
         """Residuals in standard deviations."""
         return self.residuals(unknowns.values[self.columns], unknowns)
 
-    def derivatives(
-        self, unknowns: Unknowns, numbers: Integer[np.ndarray, " L"] | None = None
-    ) -> Num[np.ndarray, "M D L"]:
-        """Derivatives of the residuals by the K unknowns, or ``numbers`` of them, by complex steps."""
+    def derivatives(self, unknowns: Unknowns, numbers: Integer[np.ndarray, " L"]) -> Num[np.ndarray, "M D L"]:
+        """Derivatives of the residuals by ``numbers`` of their K unknowns, by complex steps."""
         at = unknowns.values[self.columns].astype(np.complex128)
         found = []
-        for k in range(at.shape[1]) if numbers is None else numbers:
+        for k in numbers:
             at[:, k] += 1j * _STEP
             found.append(self.residuals(at, unknowns).imag / _STEP)
             at[:, k] = at[:, k].real

@@ -57,6 +57,11 @@ class CalibrationPrior:
     pose_error: PoseError = PoseError()
 
 
+@dataclass(frozen=True)
+class RefinementLimits(AgreementLimits, CalibrationPrior):
+    """What refinement on people needs: when cameras agree, and how far the given ones may be off."""
+
+
 def error_medians(
     cameras: Sequence[Camera], seen: Observations, limits: Limits
 ) -> tuple[float, list[float | None], Num[np.ndarray, "N 3"]]:

@@ -122,7 +122,8 @@ def floor_marks(
 
     places: list[tuple[int, np.ndarray, dict[int, np.ndarray]]] = []
     seen_by: dict[tuple[int, int], int] = {}
-    for a, (at, found) in zip(views, map(matched, views)):
+    for a in views:
+        at, found = matched(a)
         seen_by |= {(a, b): int(np.isfinite(moved[:, 0]).sum()) for b, moved in found.items()}
         places += [(a, place, {b: m[k] for b, m in found.items()}) for k, place in enumerate(at)]
     kept = [p for p in places if any(np.isfinite(at).all() for at in p[2].values())]
@@ -208,7 +209,9 @@ def _coarse(
             shifts[a, b] = (np.array([column, row]) - reach) * _COARSE_M
         return total, plane_m, shifts
 
-    _, plane_m, shifts = max(map(agreement, (height_m + _HEIGHTS_M).tolist()), key=lambda one: one[0])
+    _, plane_m, shifts = max(
+        (agreement(plane_m) for plane_m in (height_m + _HEIGHTS_M).tolist()), key=lambda one: one[0]
+    )
     return plane_m, shifts
 
 

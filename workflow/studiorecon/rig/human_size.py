@@ -69,7 +69,7 @@ def is_possible(stature_m: float | None) -> bool:
 
 
 def is_adult(stature_m: float | None) -> bool:
-    """Whether a stature is known and an adult's, which tells the units of length apart."""
+    """Whether a stature is known and an adult's, so that its unit of length is metres."""
     return stature_m is not None and _ADULTS_M[0] <= stature_m <= _ADULTS_M[1]
 
 

@@ -9,9 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from studiorecon.geometry.camera_motion import PoseError
-from studiorecon.geometry.triangulation import Limits
-from studiorecon.rig.agreement import error_medians
+from studiorecon.rig.agreement import RefinementLimits, error_medians
 from studiorecon.rig.calibrated import CalibratedEstimate, estimate_calibrated, pose_changes
 from studiorecon.rig.lens_knowledge import undistort_tracks
 from studiorecon.rig.room_picture import RoomPicture
@@ -71,29 +69,29 @@ def refine_cameras(
     frames: Integer[np.ndarray, " F"],
     px: tuple[float | None, Sequence[float | None]],
     allowed_px: float,
-    about: tuple[float, Limits, PoseError],
+    limits: RefinementLimits,
     rooms: Sequence[RoomPicture | None] = (),
 ) -> RefinedCameras | None:
     """The refinement of ``cameras``; None where people show too little, or too few agree with moved cameras.
 
     ``watched`` are the indices of the cameras that see them. ``px``: their median error at the given poses, None where
     no three cameras agree, and that of each camera; ``allowed_px``: the limit once moved cameras are corrected.
-    ``about``: the gate of tracks in metres, the limits of agreement and the calibration's error. ``rooms``: pictures of
-    the room, where there are any.
+    ``rooms``: pictures of the room, where there are any.
     """
     if len(watched) < 2:
         return None
-    given, (gate_m, limits, error) = [cameras[v] for v in watched], about
+    given = [cameras[v] for v in watched]
     # The others still agree if one of them was knocked.
     alone = any(e is None and len(d.frame) for e, d in zip(px[1], detections, strict=True))
     lost = alone or px[0] is None or not px[0] < allowed_px
     seen = [detections[v] for v in watched]
     found = estimate_calibrated(
-        given, seen, frames, gate_m, limits, error, lost, [rooms[v] for v in watched] if len(rooms) else ()
+        *(given, seen, frames, limits.gate_m, limits.limits, limits.pose_error, lost),
+        [rooms[v] for v in watched] if len(rooms) else (),
     )
     if found is None:
         return None
-    after_px = error_medians(found.cameras, found.seen, limits)[0]
+    after_px = error_medians(found.cameras, found.seen, limits.limits)[0]
     if found.freedom == "moved" and not after_px < allowed_px:
         return None
     everywhere, radial = list(cameras), np.zeros(len(cameras))

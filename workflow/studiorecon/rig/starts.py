@@ -29,11 +29,14 @@ if TYPE_CHECKING:
 
 NOISE_SHARE = 0.003
 """Error of detectors, as a share of the longer side (6 of 1920 px)."""
-# Wide, since a calibration may be slightly off and still be the right one.
-_LIMITS = Limits(outlier_units=9.0)
-_GATE_SHARE = _LIMITS.huber_share * _LIMITS.outlier_units
-MARGIN = 0.15
-"""A start is chosen where its score is better by this: people's errors are then half as large again without it."""
+FRAMES = 24
+"""Frames on which people judge a calibration, spread over those that show them."""
+LIMITS = Limits(outlier_units=9.0)
+"""Wide, since a calibration may be slightly off and still be the right one."""
+_GATE_SHARE = LIMITS.huber_share * LIMITS.outlier_units
+# By so much its score must be better for a start to be chosen: 0.8 nats of 5.4 a joint, so that without it people's
+# errors are 1.5 times as large.
+_MARGIN = 0.15
 # Standard errors by which one must be better in every frame on average: 1 in 700 by chance.
 _SURE = 3.0
 _FLIP = np.diag([1.0, -1.0, -1.0, 1.0])
@@ -71,7 +74,7 @@ class Start:
 @dataclass(frozen=True)
 class Comparison:
     """Starts, the first as read, with their log-likelihoods in F frames and scores from 0 to 1; ``held``: the score of
-    the cameras that will be used."""
+    the cameras that will be used, or as read where that is better."""
 
     starts: Sequence[Start]
     nats: Float[np.ndarray, "S F"]
@@ -82,7 +85,7 @@ class Comparison:
     def chosen(self) -> list[Start]:
         """The starts that people require; several where they cannot tell them apart, as on a regular ring."""
         best = int(np.argmax(self.scores))
-        if self.scores[best] <= self.held + MARGIN:
+        if self.scores[best] <= self.held + _MARGIN:
             return []
         return [
             s
@@ -114,7 +117,7 @@ class Comparison:
         for start in self.chosen:
             if start.per_metre != 1.0:
                 seen = make_observations(start.detections, start.cameras, frames, gate_m)[0]
-                stature_m = median_stature_m(start.cameras, seen, _LIMITS)
+                stature_m = median_stature_m(start.cameras, seen, LIMITS)
                 assert stature_m is not None
                 raise size_refusal(stature_m * start.per_metre)
         if self.chosen:
@@ -144,7 +147,7 @@ def compare(
         likelihoods.append(nats)
         scores.append(float(nats.sum() / most))
         held = max(held, scores[0])
-        if held + MARGIN >= 1:
+        if held + _MARGIN >= 1:
             break
     return Comparison(tried, np.stack(likelihoods), scores, held)
 
@@ -190,13 +193,13 @@ def people_nats(
     """
     total = np.zeros(len(frames))
     cameras, joints = start.cameras, stable_detections(start.detections, frames)
-    most = sum(int((d.keypoints[..., 2] > _LIMITS.min_confidence).sum()) for d in joints)
+    most = sum(int((d.keypoints[..., 2] > LIMITS.min_confidence).sum()) for d in joints)
     most_nats = max(most * float(error_nats(np.zeros(1), _GATE_SHARE)[0]), 1.0)
     seen, _ = make_observations(start.detections, cameras, frames, gate_m)
-    stature_m = median_stature_m(cameras, seen, _LIMITS)
+    stature_m = median_stature_m(cameras, seen, LIMITS)
     if not len(seen.frame) or not (is_adult(stature_m) if start.per_metre != 1.0 else is_possible(stature_m)):
         return total, most_nats
-    found = triangulate(seen.pixels, seen.confidence, cameras, _LIMITS)
+    found = triangulate(seen.pixels, seen.confidence, cameras, LIMITS)
     # Two rays of three cameras or more nearly meet by chance.
     counted = found.inliers & (found.verified if len(cameras) > 2 else found.valid)
     off = np.where(counted, found.error_px, np.inf) / np.array([[max(c.wh)] for c in cameras])

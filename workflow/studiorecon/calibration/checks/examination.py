@@ -13,18 +13,17 @@ from studiorecon.calibration.checks import coverage as health
 from studiorecon.calibration.checks import sanity
 from studiorecon.calibration.checks.advice import verdict
 from studiorecon.calibration.checks.edges import compare_edges
-from studiorecon.calibration.people_evidence import FRAMES
 from studiorecon.errors import UserError
 from studiorecon.geometry.camera_path import scene_centre
 from studiorecon.geometry.triangulation import Limits
 from studiorecon.rig.active_cameras import active_cameras, inactive_camera_notes, shared_frames
-from studiorecon.rig.agreement import AgreementLimits, CalibrationPrior, error_medians, metres_per_px
+from studiorecon.rig.agreement import RefinementLimits, error_medians, metres_per_px
 from studiorecon.rig.correspondences import Observations, make_observations
 from studiorecon.rig.human_size import check_human_size
 from studiorecon.rig.outlier_camera import find_outlier_camera
 from studiorecon.rig.refined_cameras import refine_cameras
 from studiorecon.rig.room_picture import RoomPicture
-from studiorecon.rig.starts import Start, calibration_starts, compare, lens_start
+from studiorecon.rig.starts import FRAMES, Start, calibration_starts, compare, lens_start
 from studiorecon.scene.camera import Camera
 from studiorecon.scene.people import Detections
 
@@ -38,7 +37,7 @@ Readings = Mapping[str, tuple[Sequence[Camera], Sequence[Detections]]]
 
 
 @dataclass(frozen=True)
-class Settings(AgreementLimits, CalibrationPrior):
+class Settings(RefinementLimits):
     """Limits of agreement between cameras and people, and the trust in given cameras."""
 
 
@@ -66,18 +65,15 @@ def examine(
     limit_px = settings.limit_px(cameras, fit.points_m)
     fps = max(float(a["fps"]) for a in about)
     refined, odd = None, None
-    described = settings.gate_m, settings.limits
     if people:
         errors = fit.median_px, fit.per_camera_px
         wanted = active_cameras(detections, fps), shared_frames(detections, _REFINED_FRAMES)
-        refined = refine_cameras(
-            cameras, detections, *wanted, errors, 0.5 * limit_px, (*described, settings.pose_error), rooms
-        )
+        refined = refine_cameras(cameras, detections, *wanted, errors, 0.5 * limit_px, settings, rooms)
     used = None if refined is None else Start("as used", "", refined.cameras, refined.detections)
     starts = [lens_start(name, *both) for name, both in (lens_readings or {}).items()]
     compared = compare([*calibration_starts(cameras, detections), *starts], chosen, settings.gate_m, used)
     if people and (fit.median_px is None or any(e is None or e > limit_px for e in fit.per_camera_px)):
-        odd = find_outlier_camera(cameras, detections, chosen, *described)
+        odd = find_outlier_camera(cameras, detections, chosen, settings.gate_m, settings.limits)
         if odd is not None and (not odd.cause or odd.turned) and refined is not None and refined.has_moved:
             odd = None  # moved cameras explain it
     shown, shown_points = _best_frame(cameras, fit.seen, settings.limits)
